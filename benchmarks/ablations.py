@@ -18,7 +18,7 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import json_digest
 from tg4mm.research.bench.means import scalars
 from tg4mm.research.bench.measure import measure
-from tg4mm.research.bench.request import Plan, Training
+from tg4mm.research.bench.request import BenchPlan, Training
 from tg4mm.research.bench.sets import BenchSet, open_set
 from tg4mm.research.evaluate.run import CEILING, STATIC
 from tg4mm.research.generator import run_child
@@ -137,7 +137,7 @@ def _lines(row: Row, options: argparse.Namespace) -> list[str]:
     data = _made(f"--alphas {options.alphas} {options.options} {row.data}", options)
     training = Training(row.preset, row.preset, row.settings)
     place = options.out / "runs" / json_digest([row.preset, dict(row.settings), data.digest])[:12]
-    found = measure(place, data, training, Plan())
+    found = measure(place, data, training, BenchPlan())
     values = scalars(found)
     cells = [row.label, *(shown(values[key], form) for key, form in _COLUMNS.items())]
     scores = found["rows"][max(found["rows"], key=float)]

@@ -28,7 +28,7 @@ from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import observe
-from tg4mm.fit.motion.prior import Graph, build_graph
+from tg4mm.fit.motion.prior import NeighbourGraph, build_graph
 from tg4mm.research.evaluate.displacement import (
     STATIC_BELOW,
     displacement_figures,
@@ -48,7 +48,7 @@ _AT_ONCE = 8
 
 
 @dataclass(frozen=True)
-class Subject:
+class BoundedRun:
     """A run's Gaussians, with the exact motion and the pictures' changes at its courses of time."""
 
     gaussians: Gaussians
@@ -59,7 +59,7 @@ class Subject:
     variances: np.ndarray  # [V, H, W], noise of a picture at one course
 
     @staticmethod
-    def of(run: Run, capture: Capture) -> "Subject":
+    def of(run: Run, capture: Capture) -> "BoundedRun":
         gaussians = run.load_space()
         truth = load_truth(run.dataset, capture.fps, capture.n_timesteps)
         exact = exact_motion(truth, gaussians.means.numpy())
@@ -72,7 +72,7 @@ class Subject:
         pictures = np.stack(
             [[images.rgb(int(r), background=(1.0, 1.0, 1.0)) for r in f.rows] for f in frames]
         ).astype(np.float32)
-        return Subject(gaussians, weights, exact, views, fields, _noise(pictures, courses))
+        return BoundedRun(gaussians, weights, exact, views, fields, _noise(pictures, courses))
 
 
 def run(options: Any) -> None:
@@ -85,7 +85,7 @@ def run(options: Any) -> None:
 
 def _cells(run: Run) -> Iterator[str]:
     capture = load_capture(run.dataset, split="train")
-    subject, found = Subject.of(run, capture), run.load_motion()
+    subject, found = BoundedRun.of(run, capture), run.load_motion()
     if found is None:
         raise ValueError(f"{run.path} has no motion")
     found = found.selected(found.freqs_hz > 0)
@@ -109,7 +109,7 @@ def _closure(file: Path) -> str:
     return "–" if value is None else f"{value:.2f}"
 
 
-def _within(run: Run, found: ModalMotion, subject: Subject) -> str:
+def _within(run: Run, found: ModalMotion, subject: BoundedRun) -> str:
     part, _ = run.load_part(UNCERTAINTY)
     if not part:
         return "–"
@@ -120,7 +120,7 @@ def _within(run: Run, found: ModalMotion, subject: Subject) -> str:
     return "/".join(f"{100 * share:.0f}" for share in shares)
 
 
-def bound_of(subject: Subject, n_points: int, is_affine: bool) -> tuple[float, float]:
+def bound_of(subject: BoundedRun, n_points: int, is_affine: bool) -> tuple[float, float]:
     """Relative error of least squares in a basis: by noise alone, and with what the basis misses and a ridge draws in.
 
     The ridge has the exact motion's own power, as the best linear estimate of coefficients of that power has.
@@ -147,7 +147,7 @@ def bound_of(subject: Subject, n_points: int, is_affine: bool) -> tuple[float, f
     return float(np.sqrt(noise / power)), float(np.sqrt((noise + bias + max(missed, 0)) / power))
 
 
-def _information(subject: Subject, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _information(subject: BoundedRun, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Bᵀ JᵀWJ B of fields B [P, N, 6], and Bᵀ JᵀW Σ WJ B with the variances Σ of pixels; [P, P] each."""
     scale = subject.variances[subject.variances > 0].mean()
     out = np.zeros((2, len(basis), len(basis)))
@@ -163,7 +163,7 @@ def _information(subject: Subject, basis: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def basis_fields(
-    means: np.ndarray, weights: np.ndarray, graph: Graph, n_points: int, is_affine: bool
+    means: np.ndarray, weights: np.ndarray, graph: NeighbourGraph, n_points: int, is_affine: bool
 ) -> np.ndarray:
     """[P, N, 6] float32: motions of Gaussians at `means` [N, 3] that follow control points.
 
@@ -191,7 +191,7 @@ def basis_fields(
     return np.stack(out)
 
 
-def _moved(graph: Graph, value: np.ndarray, gradient: np.ndarray, axis: int) -> np.ndarray:
+def _moved(graph: NeighbourGraph, value: np.ndarray, gradient: np.ndarray, axis: int) -> np.ndarray:
     """[N, 6]: displacement `value` [N] along an axis, with its gradient [N, 3]."""
     field = np.zeros((len(value), 4, 3), np.float32)
     field[:, 0, axis] = value

@@ -13,7 +13,7 @@ import av
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from tg4mm.capture.codec import Loss, Tone, before_compression, codec_losses
+from tg4mm.capture.codec import Loss, MeasuredTone, before_compression, codec_losses
 from tg4mm.capture.codec.loss import LOST
 from tg4mm.capture.codec.trial import gain_of, shifts_of
 from tg4mm.capture.tracking.template import slope as slope_of
@@ -26,7 +26,7 @@ REGION[36:94, 46:144] = True
 
 
 @dataclass(frozen=True)
-class Film:
+class CodecFilm:
     """What was drawn."""
 
     codec: str
@@ -37,7 +37,7 @@ class Film:
     amplitude: float  # pixels
 
     @staticmethod
-    def of(seed: int) -> "Film":
+    def of(seed: int) -> "CodecFilm":
         rng = np.random.default_rng(seed)
         bits = float(np.exp(rng.uniform(np.log(0.08), np.log(3)))) * WIDTH * HEIGHT * FPS
         options = {"b": str(round(bits))}
@@ -48,7 +48,7 @@ class Film:
             options |= {"maxrate": options["b"], "bufsize": options["b"]} if rng.random() < 0.4 else {}
             options |= {"bf": "0"} if rng.random() < 0.3 else {}
         cycles = round(float(np.exp(rng.uniform(np.log(0.03), np.log(0.45)))) * FRAMES)
-        return Film(
+        return CodecFilm(
             "libx264" if seed % 3 else "libx265",
             options,
             int(rng.choice([FPS, 250])),
@@ -79,16 +79,16 @@ class Film:
 
 def tried(seed: int) -> tuple[float, float, float, float]:
     """Return the true gain and its error, and the estimated gain and its deviation."""
-    drawn = Film.of(seed)
+    drawn = CodecFilm.of(seed)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "film.mp4"
         drawn.write(path, seed)
         with av.open(str(path)) as container:
             luma = np.stack([f.to_ndarray()[: f.height] for f in container.decode(video=0)])
-        true = Tone(drawn.hz, np.array([drawn.amplitude + 0j, 0]))
+        true = MeasuredTone(drawn.hz, np.array([drawn.amplitude + 0j, 0]))
         times = np.arange(FRAMES) / FPS
         gain, error = gain_of(shifts_of(luma, [REGION.astype(np.float32)], times)[0], [true], 0, times)
-        measured = Tone(drawn.hz, true.phasor * gain)
+        measured = MeasuredTone(drawn.hz, true.phasor * gain)
         (loss,) = codec_losses(path, [REGION], [[measured]], FPS)[0]
     print(
         f"{seed}: {drawn.codec}, {float(drawn.options['b']) / (WIDTH * HEIGHT * FPS):.2f} bits a pixel, noise "

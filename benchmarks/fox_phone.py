@@ -66,7 +66,7 @@ OPTIONS = {
 
 def run(options: argparse.Namespace) -> None:
     """Print the scores, and write them as JSON to --out; or print the table of the sensors."""
-    opened, truth = Run.open(options.run), Truth.load(options.truth)
+    opened, truth = Run.open(options.run), FoxTruth.load(options.truth)
     if options.sensors:
         print("\n".join(sensor_lines(prepare(opened), truth)))
         return
@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 @dataclass(frozen=True)
-class Similarity:
+class WorldAlignment:
     """x_truth = scale · rotation x_run + shift."""
 
     scale: float
@@ -101,7 +101,7 @@ class Similarity:
         return viewmat
 
 
-def similarity(run_c2w: np.ndarray, truth_c2w: np.ndarray) -> Similarity:
+def similarity(run_c2w: np.ndarray, truth_c2w: np.ndarray) -> WorldAlignment:
     """The similarity that takes cameras [C, 4, 4] of a run to their true poses (camera-to-world, OpenCV axes).
 
     The rotation is the chordal mean of the orientations'; scale and shift fit the centres to it by least squares
@@ -116,11 +116,11 @@ def similarity(run_c2w: np.ndarray, truth_c2w: np.ndarray) -> Similarity:
     if spread < 1e-12:
         raise ValueError(f"all {len(source)} cameras are at one place, which has no scale")
     scale = float((from_mean * (target - target.mean(0))).sum() / spread)
-    return Similarity(scale, rotation, target.mean(0) - scale * rotation @ source.mean(0))
+    return WorldAlignment(scale, rotation, target.mean(0) - scale * rotation @ source.mean(0))
 
 
 @dataclass(frozen=True)
-class Truth:
+class FoxTruth:
     """truth.json and gauss.npz: x(t) = means + Σ_f shapes[f] sin(2π f t + phase of f + phase of the clip)."""
 
     folder: Path
@@ -130,7 +130,7 @@ class Truth:
     shapes: np.ndarray  # [F, M, 3] displacement amplitudes, scene units
 
     @classmethod
-    def load(cls, folder: Path) -> "Truth":
+    def load(cls, folder: Path) -> "FoxTruth":
         """Read a truth folder."""
         values = json.loads((folder / "truth.json").read_text())
         with np.load(folder / "gauss.npz") as file:
@@ -174,7 +174,7 @@ class Truth:
             return None
         return np.array(poses[i]) if i < len(poses) else None
 
-    def camera(self, name: str, size: tuple[int, int], world: Similarity) -> Camera:
+    def camera(self, name: str, size: tuple[int, int], world: WorldAlignment) -> Camera:
         """`c2w_fixed` or `c2w_novel` in a run's world, for pictures of this size (width, height)."""
         K = np.array(self.values["K"])
         K[0] *= size[0] / self.values["W"]
@@ -182,7 +182,7 @@ class Truth:
         return Camera(name, world.viewmat_of(np.array(self.values[name])), K, *size)
 
 
-def world_of(capture: Capture, truth: Truth) -> tuple[str, Similarity, float]:
+def world_of(capture: Capture, truth: FoxTruth) -> tuple[str, WorldAlignment, float]:
     """A capture's kind, how its world lies in the truth's by its cameras, and the rms distance left between centres.
 
     Pictures are matched by name and, of a handheld video, by time. Raises CaptureError for another kind, or where
@@ -248,7 +248,7 @@ def comparison(estimated: np.ndarray, true: np.ndarray, weights: np.ndarray) -> 
 
 
 @dataclass(frozen=True)
-class Subject:
+class ScoredRun:
     """A run with all that is scored: the Gaussians, the modes, and where the truth's cameras are in its world."""
 
     run: Run
@@ -259,7 +259,7 @@ class Subject:
     modes: np.ndarray  # [K, N, 3] complex displacement
     true: np.ndarray  # [F, N, 3], the exact one, in the run's world
     duration_s: float
-    world: Similarity
+    world: WorldAlignment
     camera: Camera  # the tripod's view, in the run's world
 
     def flow_map(self, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -281,7 +281,7 @@ class Subject:
         return np.tensordot(np.exp(1j * np.pi * turns) * np.sinc(turns), self.modes[near], 1)
 
 
-def load_subject(run: Run, truth: Truth) -> tuple[Subject, float]:
+def load_subject(run: Run, truth: FoxTruth) -> tuple[ScoredRun, float]:
     """The run, and the rms distance of its camera centres from the true ones.
 
     Raises Tg4mmError where the run has no motion or its cameras no true pose.
@@ -299,7 +299,7 @@ def load_subject(run: Run, truth: Truth) -> tuple[Subject, float]:
     true = world.vectors_to_run(truth.phasors(world.to_truth(gaussians.means.numpy().astype(np.float64))))
     weights, duration_s = blending_weights(gaussians, capture), motion.n_timesteps / motion.fps
     modes = np.asarray(motion.displacement)
-    subject = Subject(
+    subject = ScoredRun(
         run, kind, gaussians, weights, motion.freqs_hz, modes, true, duration_s, world, camera
     )  # fmt: skip
     return subject, left
@@ -311,7 +311,7 @@ def largest_px(flow: np.ndarray, counts: np.ndarray) -> float:
     return float(np.quantile(lengths, 0.999)) if len(lengths) else 0.0
 
 
-def scored(run: Run, truth: Truth, pictures: bool = True) -> dict[str, Any]:
+def scored(run: Run, truth: FoxTruth, pictures: bool = True) -> dict[str, Any]:
     """All figures of a run. Raises Tg4mmError where it has none to score."""
     subject, left = load_subject(run, truth)
     modes: list[dict[str, float]] = []
@@ -349,7 +349,7 @@ def scored(run: Run, truth: Truth, pictures: bool = True) -> dict[str, Any]:
     return figures
 
 
-def clip_phase_errors(found: dict[str, dict[str, Any]], truth: Truth) -> list[dict[str, Any]]:
+def clip_phase_errors(found: dict[str, dict[str, Any]], truth: FoxTruth) -> list[dict[str, Any]]:
     """Errors of the clips' phases, found[camera][frequency in Hz] in degrees, for every true frequency found there.
 
     Clip c is ahead by phases[c] at the first frequency and by phases[c] · f / f₁ at another. Errors are those after the
@@ -371,7 +371,7 @@ def clip_phase_errors(found: dict[str, dict[str, Any]], truth: Truth) -> list[di
     return rows
 
 
-def picture_scores(subject: Subject, truth: Truth) -> dict[str, dict[str, float]]:
+def picture_scores(subject: ScoredRun, truth: FoxTruth) -> dict[str, dict[str, float]]:
     """SSIM at α = 20 of the tripod's and another view, mean over frames, and of each that there is to compare with.
 
     `run`, every mode magnified; `nothing_moves`; `truth_moved`, the exact motion on the same Gaussians: the ceiling.
@@ -428,7 +428,7 @@ def report_lines(figures: dict[str, Any]) -> Iterator[str]:
         yield f"SSIM ×{ALPHA} {view}: " + "  ".join(f"{k} {v:.4f}" for k, v in values.items())
 
 
-def sensor_lines(scene: Prepared, truth: Truth) -> Iterator[str]:
+def sensor_lines(scene: Prepared, truth: FoxTruth) -> Iterator[str]:
     """The table of virtual sensors. Raises Tg4mmError for a capture that is not of a tripod."""
     kind, world, _ = world_of(scene.capture, truth)
     if kind != "tripod":
@@ -446,7 +446,7 @@ def sensor_lines(scene: Prepared, truth: Truth) -> Iterator[str]:
 
 
 def _sensor_rows(
-    result: SensorResult, scene: Prepared, truth: Truth, world: Similarity, ratios: list[float]
+    result: SensorResult, scene: Prepared, truth: FoxTruth, world: WorldAlignment, ratios: list[float]
 ) -> Iterator[str]:
     """Lines of one sensor; adds the errors of both parts of each phasor over their deviation to `ratios`."""
     rows = np.flatnonzero(result.body.weights)

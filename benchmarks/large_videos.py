@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, write_video
+from benchmarks.calibration.film import Coding, Film, FilmMode, Layer, texture, write_video
 from benchmarks.common import machine
 from tg4mm.capture import load_capture
 from tg4mm.fit.motion.animate import animate
@@ -67,7 +67,7 @@ def _make(video: Path, width: int, height: int, pictures: int) -> None:
     rng = np.random.default_rng(0)
     plate = (width * 3 // 8, height * 3 // 8, width * 5 // 8, height * 5 // 8)
     shape = np.broadcast_to([AMPLITUDE, 0.0], (height, width, 2))
-    sway = Mode(shape, lambda t: float(np.cos(2 * np.pi * HZ * t)))
+    sway = FilmMode(shape, lambda t: float(np.cos(2 * np.pi * HZ * t)))
     cloths = [texture(height, width, rng, 0.3, 0.3, (1.5, 4.0)) for _ in range(2)]
     layers = [Layer(cloths[0], None, [], 0.6), Layer(cloths[1], plate, [sway], 0.6)]
     film = Film(layers, FPS, pictures, 1.5)

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.calibration.draw import TrueVibration, Truth
-from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, write_video
+from benchmarks.calibration.draw import FilmTruth, TrueVibration
+from benchmarks.calibration.film import Coding, Film, FilmMode, Layer, texture, write_video
 from benchmarks.calibration.score import Score, share
 from benchmarks.calibration.stages import look_stage, whole_stage
 
@@ -86,7 +86,7 @@ def effects(rng: np.random.Generator) -> dict[str, Effect]:
     }
 
 
-def film_of(name: str, seed: int, folder: Path) -> tuple[Path, Truth]:
+def film_of(name: str, seed: int, folder: Path) -> tuple[Path, FilmTruth]:
     """The film of an effect; written where it is not there."""
     rng = np.random.default_rng([17, seed])
     effect = effects(np.random.default_rng([18, seed]))[name]
@@ -98,7 +98,7 @@ def film_of(name: str, seed: int, folder: Path) -> tuple[Path, Truth]:
     moves = (float(size * np.cos(angle)), float(size * np.sin(angle)))
     region = (left, upper, left + box_w, upper + box_h)
     vibration = TrueVibration(float(hz), moves, region, False, float(phase))
-    truth = Truth(
+    truth = FilmTruth(
         width, height, FPS, FRAMES, NOISE, "libx265", BITS_PER_S / (width * height * FPS), [vibration]
     )
     video = folder / f"{name.replace(' ', '-')}-{seed}.mp4"
@@ -112,14 +112,14 @@ def film_of(name: str, seed: int, folder: Path) -> tuple[Path, Truth]:
     return video, truth
 
 
-def _pictures(effect: Effect, truth: Truth, rng: np.random.Generator) -> np.ndarray:
+def _pictures(effect: Effect, truth: FilmTruth, rng: np.random.Generator) -> np.ndarray:
     """[F, H, W] or [F, H, W, 3]: drawn with a margin, and cut out where whole pixels of the drift have come to."""
     height, width = truth.height + 2 * MARGIN, truth.width + 2 * MARGIN
     down, right = np.mgrid[:height, :width] + 0.5
     away = np.stack([right - width / 2, down - height / 2], -1)
-    zoom, own = Mode(away, effect.zoom), truth.vibrations[0]
+    zoom, own = FilmMode(away, effect.zoom), truth.vibrations[0]
     plate = tuple(n + MARGIN for n in own.region)
-    sways = Mode(np.broadcast_to(own.amplitude_px, (height, width, 2)), own.motion())
+    sways = FilmMode(np.broadcast_to(own.amplitude_px, (height, width, 2)), own.motion())
     cloths = [texture(height, width, rng, c, m, (1.3, 3.0, 9.0)) for c, m in ((0.25, 0.3), (0.4, 0.25))]
     layers = [Layer(cloths[0], None, [zoom], 0.6), Layer(cloths[1], plate, [zoom, sways], 0.6)]
 
@@ -139,7 +139,7 @@ def _pictures(effect: Effect, truth: Truth, rng: np.random.Generator) -> np.ndar
     return np.clip(np.round(cut[..., None] * gains[:, None, None]), 0, 255).astype(np.uint8)
 
 
-def judged(video: Path, truth: Truth, stage: str) -> tuple[Score, str]:
+def judged(video: Path, truth: FilmTruth, stage: str) -> tuple[Score, str]:
     """A stage's score, and all that it printed; made where they are not there."""
     kept = video.with_suffix(f".{stage}.json")
     if not kept.exists():

@@ -71,7 +71,7 @@ class Kernels:
         }
 
 
-class Trained:
+class BenchmarkedRun:
     """The Gaussians of a run and one camera of its dataset."""
 
     def __init__(self, folder: str) -> None:
@@ -111,7 +111,7 @@ OPTIONS = {"--repeats": 9, "--run": {"required": True, "help": "a run folder wit
 def run(options: argparse.Namespace) -> None:
     """Print the times of kernels and whole passes, by number of threads."""
     print(machine())
-    scene = Trained(options.run)
+    scene = BenchmarkedRun(options.run)
     for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):  # type: ignore[attr-defined]
         numba.set_num_threads(threads)
         torch.set_num_threads(threads)

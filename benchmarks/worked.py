@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, write_video
+from benchmarks.calibration.film import Coding, Film, FilmMode, Layer, texture, write_video
 from benchmarks.common import print_found
 from tg4mm.capture.look import look
 from tg4mm.core.regions import Region, Regions, Scale, write_regions
@@ -31,7 +31,7 @@ def pump() -> tuple[Film, Regions, dict[str, list[tuple[float, float]]]]:
     rng = np.random.default_rng(1)
     right, up = np.zeros((HEIGHT, WIDTH, 2)), np.zeros((HEIGHT, WIDTH, 2))
     right[..., 0], up[..., 1] = 1.0, -1.0
-    modes = [Mode(0.16 * right, _cosine(24.2, 0.3)), Mode(0.03 * up, _cosine(87.1, 1.0))]
+    modes = [FilmMode(0.16 * right, _cosine(24.2, 0.3)), FilmMode(0.03 * up, _cosine(87.1, 1.0))]
     wall, body = (texture(HEIGHT, WIDTH, rng, 0.35, 0.35, (1.5, 4.0)) for _ in range(2))
     film = Film(
         [Layer(wall, None, [], 0.6), Layer(body, (96, 48, 224, 160), modes, 0.6)], 240, 960, 2.0, seed=1
@@ -60,7 +60,7 @@ def bridge() -> tuple[Film, Regions, dict[str, list[tuple[float, float]]]]:
         return float(np.exp(-zeta * ring * t) * np.cos(ring * t))
 
     sky, deck = (texture(HEIGHT, WIDTH, rng, 0.35, 0.4, (1.5, 4.0)) for _ in range(2))
-    modes = [Mode(shapes[0], _cosine(2.05, 0.4)), Mode(shapes[1], decays)]
+    modes = [FilmMode(shapes[0], _cosine(2.05, 0.4)), FilmMode(shapes[1], decays)]
     film = Film(
         [Layer(sky, None, [], 0.6), Layer(deck, (20, 80, 300, 128), modes, 0.6)], 30, 600, 2.0, seed=2
     )

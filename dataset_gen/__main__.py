@@ -28,7 +28,7 @@ from .settings import Settings, Source, motion_file
 from .vibration import Body, reach
 
 if TYPE_CHECKING:
-    from .sources.bodies_file import Found
+    from .sources.bodies_file import FileContents
 
 _DIGITS = 4  # significant
 
@@ -54,7 +54,7 @@ def scenes_listed() -> str:
     return "\n".join(lines)
 
 
-def _about(found: Found) -> list[str]:
+def _about(found: FileContents) -> list[str]:
     vertices = sum(len(body.vertices) for body in found.bodies)
     unit, factor = found.own_unit
     scale = "the file does not say how long a scene unit is"
@@ -81,7 +81,7 @@ def _table(bodies: Sequence[Body]) -> list[str]:
     return aligned(rows)
 
 
-def _modes(settings: Settings, found: Found) -> list[str]:
+def _modes(settings: Settings, found: FileContents) -> list[str]:
     """Each mode's largest displacement in scene units, in the file's own unit and in pixels."""
     cameras = settings.cameras.placed(found.centre, found.radius, found.cameras)
     settings = framed(replace(settings, cameras=cameras), found.bodies)

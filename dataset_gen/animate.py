@@ -16,16 +16,16 @@ import numpy as np
 from mathutils import Matrix
 
 from .build import DISPLACEMENT, Stage
-from .cameras import Camera
+from .cameras import SceneCamera
 from .errors import GenerateError
 from .tree import whole
-from .vibration import Motion, Ramp, Vibration
+from .vibration import DampedSinusoid, Motion, Ramp
 from .vibration.motion import Basis
 
 CONTROL = "tg4mm"  # the empty that carries alpha
 _HEADROOM = 1000.0  # shape keys hold this many times the displacement: Blender keeps their values within ±10
 _LIMIT = 10.0  # of a shape key's value
-CamerasAt = Callable[[int], Mapping[str, Sequence[Camera]]]
+CamerasAt = Callable[[int], Mapping[str, Sequence[SceneCamera]]]
 
 
 def save_animation(
@@ -123,7 +123,7 @@ def _identity(curve: bpy.types.FCurve) -> None:
 def expression(motion: Motion, basis: Basis) -> str:
     """The gain of a basis shape at α = 0 as arithmetic in `frame`."""
     law, fps = motion.laws[basis.mode], motion.fps
-    if isinstance(law, Vibration):
+    if isinstance(law, DampedSinusoid):
         wave = "sin" if basis.quadrature else "cos"
         turn = math.atan2(basis.turn.imag, basis.turn.real)
         text = f"{wave}({float(2.0 * math.pi * law.frequency_hz / fps)!r}*frame+({turn!r}))"
@@ -150,8 +150,8 @@ def _picture(scene: bpy.types.Scene, size: int) -> None:
     scene.view_settings.view_transform = "Standard"
 
 
-def _place(stage: Stage, cameras: Sequence[Mapping[str, Sequence[Camera]]]) -> None:
-    tracks: dict[str, dict[int, Camera]] = {}
+def _place(stage: Stage, cameras: Sequence[Mapping[str, Sequence[SceneCamera]]]) -> None:
+    tracks: dict[str, dict[int, SceneCamera]] = {}
     for t, splits in enumerate(cameras):
         for split, views in splits.items():
             for camera in views:
@@ -164,7 +164,9 @@ def _place(stage: Stage, cameras: Sequence[Mapping[str, Sequence[Camera]]]) -> N
         bpy.data.objects.remove(stage.camera)
 
 
-def _camera(name: str, track: Mapping[int, Camera], collection: bpy.types.Collection) -> bpy.types.Object:
+def _camera(
+    name: str, track: Mapping[int, SceneCamera], collection: bpy.types.Collection
+) -> bpy.types.Object:
     obj = bpy.data.objects.new(name, bpy.data.cameras.new(name))
     obj.rotation_mode = "QUATERNION"
     obj.data.sensor_fit = "HORIZONTAL"

@@ -8,7 +8,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from . import compat
-from .cameras import CAMERA_ANGLE_X, Camera
+from .cameras import CAMERA_ANGLE_X, SceneCamera
 from .scene import AreaLight, BlenderSky, Environment, Gradient, Part, Scene, Surface
 
 LINEAR = "Linear Rec.709"
@@ -233,7 +233,7 @@ def move(stage: Stage, displacements: Sequence[np.ndarray]) -> None:
         mesh.update_tag()
 
 
-def set_view(stage: Stage, camera: Camera) -> None:
+def set_view(stage: Stage, camera: SceneCamera) -> None:
     """Places the camera and sets its lens."""
     stage.camera.matrix_world = Matrix(camera.camera_to_world.tolist())
     stage.camera.data.angle = camera.angle_x

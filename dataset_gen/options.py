@@ -11,7 +11,7 @@ from .cameras import KINDS as CAMERA_KINDS
 from .cameras import CameraSetup
 from .effects import CODECS, Effects
 from .errors import GenerateError
-from .pictures import BACKGROUNDS, IMAGES, PictureFormat, Sensor
+from .pictures import BACKGROUNDS, IMAGES, ImageSensor, PictureFormat
 from .pictures import PRESETS as SENSORS
 from .scenes import NAMES
 from .settings import DEVICES, ENGINES, NOISE, SECOND, TRUTH, Settings, Source, motion_file
@@ -333,8 +333,8 @@ def whole_periods(least: int, hz: float, fps: float) -> int:
 _WHOLE = 1e-6  # periods
 
 
-def _sensor(options: argparse.Namespace) -> Sensor | None:
-    sensor = Sensor.preset(options.sensor or "none")
+def _sensor(options: argparse.Namespace) -> ImageSensor | None:
+    sensor = ImageSensor.preset(options.sensor or "none")
     if options.jpeg is None:
         return sensor
     if sensor is None:

@@ -23,7 +23,7 @@ class Painter:
 
     def __init__(self, bodies: Sequence[Body], settings: Settings, root: Path) -> None:
         self._bodies, self._settings, self._root = bodies, settings, root
-        self._candidates: points.Candidates | None = None
+        self._candidates: points.PointCandidates | None = None
         self._tree: BVHTree | None = None
 
     def wants(self, shot: Shot) -> bool:

@@ -53,7 +53,7 @@ Key = tuple[int | str, ...]
 
 
 @dataclass(frozen=True)
-class Sensor:
+class ImageSensor:
     """A sensor and how it is exposed. Raises GenerateError on construction if a value is out of range.
 
     Linear light 1.0 (display white) fills `exposure` of the full well: less is a darker scene or a shorter
@@ -77,7 +77,7 @@ class Sensor:
             check_whole("sensor: jpeg_quality", self.jpeg_quality, 1, 100)
 
     @classmethod
-    def preset(cls, name: str) -> "Sensor | None":
+    def preset(cls, name: str) -> "ImageSensor | None":
         """A sensor by name; None for "none", the picture as the renderer gives it."""
         if name == "none":
             return None
@@ -89,7 +89,7 @@ class Sensor:
         return asdict(self)
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "Sensor":
+    def from_json(cls, data: dict[str, Any]) -> "ImageSensor":
         return cls(**data)
 
 
@@ -97,15 +97,15 @@ class Sensor:
 PRESETS = {
     sensor.name: sensor
     for sensor in (
-        Sensor("machine-vision", full_well=10_500, read_noise=2.4, exposure=0.9, adc_bits=12),
-        Sensor("phone", full_well=6_000, read_noise=1.8, exposure=0.4, adc_bits=10, jpeg_quality=92),
-        Sensor("high-speed", full_well=25_000, read_noise=18.0, exposure=0.3, adc_bits=12),
-        Sensor("scientific", full_well=30_000, read_noise=1.4, exposure=0.9, adc_bits=16),
+        ImageSensor("machine-vision", full_well=10_500, read_noise=2.4, exposure=0.9, adc_bits=12),
+        ImageSensor("phone", full_well=6_000, read_noise=1.8, exposure=0.4, adc_bits=10, jpeg_quality=92),
+        ImageSensor("high-speed", full_well=25_000, read_noise=18.0, exposure=0.3, adc_bits=12),
+        ImageSensor("scientific", full_well=30_000, read_noise=1.4, exposure=0.9, adc_bits=16),
     )
 }
 
 
-def expose(sensor: Sensor, linear: np.ndarray, key: Key) -> np.ndarray:
+def expose(sensor: ImageSensor, linear: np.ndarray, key: Key) -> np.ndarray:
     """Return the sensor's reading of linear light [H, W, 3] ≥ 0, as linear light, float64.
 
     Clipped at the full well, and at 0, as pictures are whose black level was subtracted: the mean is that of
@@ -122,7 +122,7 @@ def expose(sensor: Sensor, linear: np.ndarray, key: Key) -> np.ndarray:
 
 
 def capture(
-    sensor: Sensor, linear: np.ndarray, alpha: np.ndarray | None, key: Key, bits: int = 8
+    sensor: ImageSensor, linear: np.ndarray, alpha: np.ndarray | None, key: Key, bits: int = 8
 ) -> np.ndarray:
     """One picture by a sensor: display-referred sRGB [H, W, 3], or with alpha [H, W, 4], uint8 or uint16.
 
@@ -206,7 +206,7 @@ class PictureFormat:
     def channels(self) -> int:
         return 3 if self.background == "white" else 4
 
-    def check_sensor(self, sensor: Sensor | None) -> None:
+    def check_sensor(self, sensor: ImageSensor | None) -> None:
         """Raises GenerateError for a sensor whose pictures this format cannot hold."""
         if sensor is None:
             return
@@ -218,7 +218,11 @@ class PictureFormat:
             )
 
     def pixels(
-        self, linear: np.ndarray, sensor: Sensor | None = None, key: Key = (), gain: np.ndarray | None = None
+        self,
+        linear: np.ndarray,
+        sensor: ImageSensor | None = None,
+        key: Key = (),
+        gain: np.ndarray | None = None,
     ) -> np.ndarray:
         """The numbers that the file will hold, [H, W, C]: uint8 or uint16 for PNG, float32 for EXR.
 
@@ -246,7 +250,11 @@ class PictureFormat:
         return rgb if alpha is None else np.concatenate([rgb, to_integers(alpha, self.bits)[..., None]], -1)
 
     def encode(
-        self, linear: np.ndarray, sensor: Sensor | None = None, key: Key = (), gain: np.ndarray | None = None
+        self,
+        linear: np.ndarray,
+        sensor: ImageSensor | None = None,
+        key: Key = (),
+        gain: np.ndarray | None = None,
     ) -> bytes:
         """The file of one picture; parameters as for `pixels`."""
         numbers = self.pixels(linear, sensor, key, gain)

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from .cameras import Camera, CameraSetup, cameras_at, films, scene_time
-from .effects import Record
+from .cameras import CameraSetup, SceneCamera, cameras_at, films, scene_time
+from .effects import RecordingEffects
 from .effects.record import bands, moments
 from .pictures import generator
 from .settings import Settings
@@ -28,12 +28,12 @@ RANGE = 300  # shots per process at most: memory of a renderer that runs for hou
 UNCODED = ".uncoded"  # working folder: pictures before they go through a video
 _PAINTERS = 60  # views that colour the points, at most about so many
 
-_Seen = tuple[State, str, Camera, tuple[State, ...], tuple[State, ...]]  # and `Shot.rows`, `Shot.blur`
+_Seen = tuple[State, str, SceneCamera, tuple[State, ...], tuple[State, ...]]  # and `Shot.rows`, `Shot.blur`
 _Key = tuple[_Seen, int]  # and `Shot.seed_offset`
 
 
 @dataclass(frozen=True)
-class Picture:
+class PlannedPicture:
     """One image file: where it goes, relative to the dataset's folder, and what it shows."""
 
     path: str
@@ -46,9 +46,9 @@ class Shot:
     """One distinct picture: what to render, and where the files go."""
 
     split: str
-    camera: Camera
+    camera: SceneCamera
     state: State
-    pictures: tuple[Picture, ...]
+    pictures: tuple[PlannedPicture, ...]
     truth: tuple[str, ...]  # EXR files, relative; empty where no truth is wanted
     paints: bool = False  # its colours go to points3d.ply
     seed_offset: int = 0
@@ -66,7 +66,7 @@ def magnified_folder(alpha: float) -> str:
     return f"magnified/x{int(alpha):03d}"
 
 
-def picture_path(settings: Settings, timestep: int, camera: Camera, split: str = "train") -> str:
+def picture_path(settings: Settings, timestep: int, camera: SceneCamera, split: str = "train") -> str:
     """Return the path of a picture at α = 0, relative to the dataset's folder."""
     return f"{timestep:03d}/{split}/{camera.name}{settings.pictures.suffix}"
 
@@ -76,8 +76,8 @@ def shots(settings: Settings, motion: Motion) -> list[Shot]:
 
     The truth of a camera that shakes is what it saw where it really was: shots without pictures.
     """
-    record = Record(settings.effects, settings.cameras, settings.size, settings.seed)
-    pictures: dict[_Key, list[Picture]] = defaultdict(list)
+    record = RecordingEffects(settings.effects, settings.cameras, settings.size, settings.seed)
+    pictures: dict[_Key, list[PlannedPicture]] = defaultdict(list)
     truth: dict[_Seen, list[str]] = defaultdict(list)
     for t in range(settings.timesteps):
         for split, cameras in cameras_at(settings.cameras, t).items():
@@ -87,7 +87,7 @@ def shots(settings: Settings, motion: Motion) -> list[Shot]:
                     where = _folder(settings, split, camera, alpha) + picture_path(settings, t, camera, split)
                     rows, blur = _times(settings, motion, split, camera, t, state)
                     seen = state, split, camera, rows, blur
-                    pictures[seen, _own_seed(settings, where)].append(Picture(where, t, alpha))
+                    pictures[seen, _own_seed(settings, where)].append(PlannedPicture(where, t, alpha))
                     if not alpha and settings.truth in (split, "all"):
                         seen = state, split, record.true_camera(split, camera, t), rows, ()
                         truth[seen].append(f"truth/{split}/{t:03d}/{camera.name}.exr")
@@ -117,7 +117,7 @@ def _own_seed(settings: Settings, path: str) -> int:
     return int(generator((settings.seed, path)).integers(1, 2**31))
 
 
-def _folder(settings: Settings, split: str, camera: Camera, alpha: float) -> str:
+def _folder(settings: Settings, split: str, camera: SceneCamera, alpha: float) -> str:
     """Return the renderer's output folder, "" or ending in a slash."""
     if alpha:
         return f"{magnified_folder(alpha)}/"
@@ -126,7 +126,7 @@ def _folder(settings: Settings, split: str, camera: Camera, alpha: float) -> str
 
 
 def _state(
-    setup: CameraSetup, motion: Motion, split: str, camera: Camera, timestep: int, alpha: float
+    setup: CameraSetup, motion: Motion, split: str, camera: SceneCamera, timestep: int, alpha: float
 ) -> State:
     """Return the motion state that a camera sees at a timestep, on a training camera's own clock."""
     if split == "test":
@@ -136,7 +136,7 @@ def _state(
 
 
 def _times(
-    settings: Settings, motion: Motion, split: str, camera: Camera, timestep: int, middle: State
+    settings: Settings, motion: Motion, split: str, camera: SceneCamera, timestep: int, middle: State
 ) -> tuple[tuple[State, ...], tuple[State, ...]]:
     """Return the states seen by row bands (rolling shutter) or during an exposure; empty if only `middle`."""
     effects, setup = settings.effects, settings.cameras
@@ -161,7 +161,7 @@ def _painters(keys: Sequence[_Key]) -> set[_Key]:
 
     Of very many cameras (each frame of a hand-held one is a camera) an evenly spread subset is used.
     """
-    nearest: dict[Camera, _Key] = {}
+    nearest: dict[SceneCamera, _Key] = {}
     for key in keys:
         state, split, camera, *_ = key[0]
         if split == "train" and (camera not in nearest or _reach(state) < _reach(nearest[camera][0][0])):

@@ -23,14 +23,14 @@ _SPARE = 4  # candidates per wanted point: surfaces inside others are seen by no
 
 
 @dataclass(frozen=True)
-class Candidates:
+class PointCandidates:
     """Points on the surfaces of a scene at rest."""
 
     positions: np.ndarray  # [P, 3] float64, world
     normals: np.ndarray  # [P, 3] float64, of the triangle
 
 
-def sample_surfaces(bodies: Sequence[Body], count: int, seed: int) -> Candidates:
+def sample_surfaces(bodies: Sequence[Body], count: int, seed: int) -> PointCandidates:
     """`count` · 4 points, uniform over the area of all bodies, in random order."""
     rng = np.random.default_rng([seed, 1])
     areas = [triangle_areas(body.vertices, body.triangles) for body in bodies]
@@ -42,7 +42,7 @@ def sample_surfaces(bodies: Sequence[Body], count: int, seed: int) -> Candidates
     edges = picked[:, 1] - picked[:, 0], picked[:, 2] - picked[:, 0]
     normals = np.cross(*edges)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Candidates(picked[:, 0] + a[:, None] * edges[0] + b[:, None] * edges[1], normals)
+    return PointCandidates(picked[:, 0] + a[:, None] * edges[0] + b[:, None] * edges[1], normals)
 
 
 def wanted(root: Path, settings: Settings) -> bool:

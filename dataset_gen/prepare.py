@@ -21,12 +21,12 @@ from .plan import Shot, shots
 from .scene import Scene
 from .scenes import SCENES
 from .settings import Quality, Settings, Source
-from .sources.bodies_file import Found
+from .sources.bodies_file import FileContents
 from .vibration import Body, Motion, pixel_displacement, reach, solve
 
 
 @dataclass(frozen=True)
-class Job:
+class DatasetJob:
     """One dataset in the making."""
 
     settings: Settings  # with the cameras placed
@@ -37,7 +37,7 @@ class Job:
     unit_scale_m: float | None
 
 
-def plan(settings: Settings, out: Path) -> Job:
+def plan(settings: Settings, out: Path) -> DatasetJob:
     """Reads the geometry and lists the pictures. Raises GenerateError on bad input; nothing is written."""
     _check_packages(settings)
     if settings.device == "gpu":
@@ -45,10 +45,10 @@ def plan(settings: Settings, out: Path) -> Job:
     settings, bodies, unit_scale_m = placed(settings)
     motion = motion_of(settings, bodies)
     root = out / settings.folder
-    return Job(settings, root, bodies, motion, tuple(shots(settings, motion)), unit_scale_m)
+    return DatasetJob(settings, root, bodies, motion, tuple(shots(settings, motion)), unit_scale_m)
 
 
-def claim(job: Job) -> Job:
+def claim(job: DatasetJob) -> DatasetJob:
     """Takes the folder and writes scene.json, the poses and truth/motion.npz; returns the job.
 
     Raises GenerateError if the folder holds anything else.
@@ -111,7 +111,7 @@ def placed(settings: Settings) -> tuple[Settings, tuple[Body, ...], float | None
     return framed(replace(settings, cameras=cameras), loaded.bodies), loaded.bodies, loaded.unit_scale_m
 
 
-def inspected(source: Source) -> Found:
+def inspected(source: Source) -> FileContents:
     """Inspect a user's file in a separate process and print its warnings."""
     from .sources import bodies_file
 

@@ -17,7 +17,7 @@ from . import points, processes, tree
 from .effects import codec
 from .errors import GenerateError
 from .plan import RANGE, UNCODED, Shot, ranges
-from .prepare import Job, claim, placed, plan
+from .prepare import DatasetJob, claim, placed, plan
 from .processes import RunFailed
 from .report import write_report
 from .settings import Settings
@@ -48,7 +48,7 @@ def generate(settings: Settings, out: Path, count: int = 0, stream: TextIO | Non
 
 
 def render_missing(
-    job: Job,
+    job: DatasetJob,
     numbers: Sequence[int],
     count: int,
     stream: TextIO,
@@ -79,7 +79,7 @@ def _total(timings: Sequence[Timing]) -> Timing:
     return {**total, "processes": max(t["processes"] for t in timings)}
 
 
-def finish(job: Job, stream: TextIO) -> Path:
+def finish(job: DatasetJob, stream: TextIO) -> Path:
     """Videos, the check that nothing is missing, points, and the report. Raises RunFailed if something is."""
     codec.finish(job.root, job.settings)
     if missing := missing_files(job):
@@ -133,7 +133,7 @@ def finish_parts(settings: Settings, out: Path, stream: TextIO) -> Path:
         return finish(job, stream)
 
 
-def missing_files(job: Job) -> list[str]:
+def missing_files(job: DatasetJob) -> list[str]:
     """Files of the set, relative to its folder, that are absent or not whole."""
     missing = [name for name in _files(job) if not tree.complete(job.root, name, job.settings)]
     if points.wanted(job.root, job.settings):
@@ -142,7 +142,7 @@ def missing_files(job: Job) -> list[str]:
     return missing or _unsound(job)
 
 
-def _unsound(job: Job) -> list[str]:
+def _unsound(job: DatasetJob) -> list[str]:
     names = [name for name in _distinct(job) if name.endswith(".png")]
     found = []
     with progress("checking files", len(names), "files", brief=True) as update:
@@ -153,16 +153,16 @@ def _unsound(job: Job) -> list[str]:
     return found
 
 
-def _distinct(job: Job) -> list[str]:
+def _distinct(job: DatasetJob) -> list[str]:
     seen = {(job.root / name).stat().st_ino: name for name in _files(job)}
     return list(seen.values())
 
 
-def _files(job: Job) -> list[str]:
+def _files(job: DatasetJob) -> list[str]:
     return [name.removeprefix(f"{UNCODED}/") for shot in job.shots for name in shot.files]
 
 
-def _finished(job: Job, shot: Shot) -> bool:
+def _finished(job: DatasetJob, shot: Shot) -> bool:
     if (
         points.wanted(job.root, job.settings)
         and shot.paints
@@ -172,7 +172,7 @@ def _finished(job: Job, shot: Shot) -> bool:
     return all(tree.complete(job.root, name, job.settings) for name in shot.files)
 
 
-def _write_points(job: Job) -> None:
+def _write_points(job: DatasetJob) -> None:
     views = []
     for shot in job.shots:
         if shot.paints:

@@ -9,7 +9,7 @@ from tg4mm.core.values import Number
 from .cameras import CameraSetup
 from .effects import Effects
 from .errors import GenerateError, check_choice, check_whole
-from .pictures import PictureFormat, Sensor
+from .pictures import ImageSensor, PictureFormat
 from .vibration import MotionDescription
 
 TRUTH = ("none", "test", "all")
@@ -49,7 +49,7 @@ class Settings:
     engine: str = "cycles"
     device: str = "cpu"
     pictures: PictureFormat = field(default_factory=PictureFormat)
-    sensor: Sensor | None = None  # None: what the renderer gives, without the noise of a camera
+    sensor: ImageSensor | None = None  # None: what the renderer gives, without the noise of a camera
     effects: Effects = field(default_factory=Effects)
 
     def __post_init__(self) -> None:
@@ -114,7 +114,7 @@ class Settings:
             cameras=CameraSetup.from_json(data["cameras"]),
             source=Source(**data["source"]),
             pictures=PictureFormat(**data["pictures"]),
-            sensor=Sensor.from_json(data["sensor"]) if data["sensor"] else None,
+            sensor=ImageSensor.from_json(data["sensor"]) if data["sensor"] else None,
             effects=Effects(**data["effects"]),
         )
 

@@ -14,8 +14,8 @@ from tg4mm.core.files import replacing
 from tg4mm.core.pictures import exr
 from tg4mm.core.work_folder import WorkFolder
 
-from .cameras import Camera, cameras_at, clock_offsets, films, scene_time, transforms
-from .effects import Record
+from .cameras import SceneCamera, cameras_at, clock_offsets, films, scene_time, transforms
+from .effects import RecordingEffects
 from .errors import GenerateError
 from .plan import UNCODED, magnified_folder, picture_path
 from .settings import Settings
@@ -135,7 +135,7 @@ def write_cameras(root: Path, settings: Settings, motion: Motion) -> None:
     write_bytes(root / CAMERAS, f"{text}{{\n{body}\n  }}\n}}\n".encode())
 
 
-def _filming(settings: Settings, timestep: int) -> list[Camera]:
+def _filming(settings: Settings, timestep: int) -> list[SceneCamera]:
     return [c for c in cameras_at(settings.cameras, timestep)["train"] if films(settings.cameras, c)]
 
 
@@ -150,7 +150,7 @@ def _clocks(settings: Settings, motion: Motion) -> dict[str, Any]:
 
 
 def _frames(settings: Settings) -> list[tuple[str, dict[str, Any]]]:
-    record = Record(settings.effects, settings.cameras, settings.size, settings.seed)
+    record = RecordingEffects(settings.effects, settings.cameras, settings.size, settings.seed)
     found = []
     for t in range(settings.timesteps):
         for camera in _filming(settings, t):

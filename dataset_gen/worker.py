@@ -16,15 +16,15 @@ import numpy as np
 from . import build, render, tree, truth
 from .cameras import cameras_at
 from .compat import use_device
-from .effects import Record, record
+from .effects import RecordingEffects, record
 from .effects.record import bands, moments
 from .errors import GenerateError
 from .painter import Painter
-from .plan import Picture, Shot, shots
+from .plan import PlannedPicture, Shot, shots
 from .prepare import bodies_of, builtin, motion_of
 from .processes import DONE, NOTE, REFUSED
 from .settings import Quality, Settings, Source
-from .sources.assemble import Loaded
+from .sources.assemble import LoadedScene
 from .vibration import Body, State
 
 
@@ -60,7 +60,7 @@ def load_stage(settings: Settings) -> tuple[build.Stage, tuple[Body, ...]]:
     return loaded.stage, loaded.bodies
 
 
-def open_source(source: Source) -> Loaded:
+def open_source(source: Source) -> LoadedScene:
     """The user's file, in this process."""
     from .sources import open_blend, open_mesh
 
@@ -117,7 +117,7 @@ def _render_shots(job: dict[str, Any], report: TextIO) -> None:
 
 
 # Linear light [H, W, 4] of one of a shot's pictures; of None, as the camera stands.
-Take = Callable[[Picture | None], np.ndarray]
+Take = Callable[[PlannedPicture | None], np.ndarray]
 _Rasters = dict[str, np.ndarray]  # [H, W, ...]
 _NEXT_SEED = 7_368_787  # between the moments of an exposure, so that their noise is not the same
 
@@ -134,7 +134,7 @@ class _Photographer:
     ) -> None:
         self._stage, self._settings, self._quality = stage, settings, quality
         self._root, self._painter, self._move = root, painter, move
-        self._record = Record(settings.effects, settings.cameras, settings.size, settings.seed)
+        self._record = RecordingEffects(settings.effects, settings.cameras, settings.size, settings.seed)
 
     def picture(self, shot: Shot) -> bool:
         """The pictures of a shot; True if the shot is done with that."""
@@ -216,13 +216,13 @@ class _Photographer:
         render.use_picture(self._stage, quality, shot.seed_offset)
         fine = render.linear_picture(self._stage)
 
-        def take(picture: Picture | None) -> np.ndarray:
+        def take(picture: PlannedPicture | None) -> np.ndarray:
             turn = np.zeros(3) if picture is None else self._record.turn(camera, picture.timestep)
             return record.frame(fine, camera, size, margin, turn)
 
         return take
 
-    def _encode(self, shot: Shot, picture: Picture, take: Take) -> bytes:
+    def _encode(self, shot: Shot, picture: PlannedPicture, take: Take) -> bytes:
         # The key names the frame, so that its noise is the same whichever process takes it, and when.
         key = (self._settings.seed + shot.seed_offset, shot.split, picture.timestep, shot.camera.name)
         gain = self._record.row_gains(shot.split, shot.camera, picture.timestep)

@@ -32,7 +32,7 @@ STILL = 1e-6  # of the largest motion: float32 holds no less beside it
 
 
 @dataclass(frozen=True)
-class Loaded:
+class Imported:
     """The objects that an import created, and messages about them."""
 
     objects: list[Any]
@@ -50,7 +50,7 @@ def load(
     step: Callable[[float], None],
     options: Options = Options(),  # noqa: B008, frozen
     fps: float = 0.0,
-) -> Loaded:
+) -> Imported:
     """Import the chosen files, or those of a folder, into `collection`. `step(part)` is called as work goes on, 0 to 1.
 
     With `sequences`, static files numbered alike play one after another, and a single one brings the run that
@@ -81,7 +81,7 @@ def load(
         if not modes and path.with_name(DEFORMED).exists()
     ]
     told = [f"{path.name}: {note}" for path, splat in zip(paths, splats, strict=True) for note in splat.notes]
-    return Loaded(
+    return Imported(
         objects,
         "; ".join([message, *told, *still]),
         longest.fps if modes else 0.0,
@@ -130,7 +130,7 @@ def _load_sequence(
     options: Options,
     upright: bool,
     fps: float,
-) -> Loaded:
+) -> Imported:
     """Import files as one object: with modes where `fps` (Hz) is not 0 and they share their Gaussians."""
     odd: dict[Path, None] = {}  # of which there was something to tell
 
@@ -154,7 +154,7 @@ def _load_sequence(
         message += f"; missing file numbers: {', '.join(map(str, missing[:4]))}"
     if odd:
         message += f"; {len(odd)} changed on reading (see the console), first {next(iter(odd)).name}"
-    return Loaded([obj], message, fps if splat is not None else 0.0, len(frames), upright)
+    return Imported([obj], message, fps if splat is not None else 0.0, len(frames), upright)
 
 
 class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
@@ -278,7 +278,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         self.report({"INFO"}, f"{loaded.message}{f'; {SEE}' if changed else ''}")
         return {"FINISHED"}
 
-    def _stand_up(self, loaded: Loaded) -> list[str]:
+    def _stand_up(self, loaded: Imported) -> list[str]:
         """Rotate the objects so that the file's up axis is Z; return a message."""
         axes, said = self.axes, ""
         if axes == splats.CAMERAS and loaded.upright:

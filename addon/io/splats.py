@@ -65,7 +65,11 @@ def splat_of(obj: Any) -> SplatFile:
     whole, world = _of_mesh(obj, mesh), np.array(obj.matrix_world, np.float64)
     # A sequence has its references in the object's own mesh.
     own = points.parts(obj.data)
-    found = own if frames is None else [points.Part(np.arange(len(whole)), own[0].applied if own else None)]
+    found = (
+        own
+        if frames is None
+        else [points.ImportedPart(np.arange(len(whole)), own[0].applied if own else None)]
+    )
     turned = [_placed(_rows(whole, part.rows), world, part.applied) for part in found if len(part.rows)]
     return turned[0] if len(turned) == 1 else _joined(turned, np.concatenate([part.rows for part in found]))
 

@@ -11,7 +11,7 @@ import bpy
 
 import dataset_gen
 
-from .runner import Job, Step
+from .runner import Job, JobStep
 
 GENERATOR = Path(str(dataset_gen.__file__)).with_name("blender_main.py")
 
@@ -39,27 +39,27 @@ def blender_host(blender: str, python: str) -> Host:
 
 def generate_steps(
     host: Host, blend: Path, motion: Path, out: Path, options: Mapping[str, str | int | float]
-) -> list[Step]:
+) -> list[JobStep]:
     """Return the generation steps for generator `options`, whose names are given without dashes."""
     arguments = [text for name, value in options.items() for text in (f"--{name}", _text(value))]
     files = ("--blend", str(blend), "--motion", str(motion), "--out", str(out))
-    return [Step("reading the scene", (*host.command, *files, *arguments))]
+    return [JobStep("reading the scene", (*host.command, *files, *arguments))]
 
 
 def train_steps(
     python: str, dataset: Path, run: Path, splat: Path, device: str, settings: Sequence[str] = ()
-) -> list[Step]:
+) -> list[JobStep]:
     """Return the steps that train on a dataset and write the splat file; `settings` such as "space.iterations=3000"."""
     sets = [text for pair in settings for text in ("--set", pair)]
     core = (python, "-m", "tg4mm")
     train = (*core, "train", str(dataset), "--out", str(run), "--device", device, *sets)
     export = (*core, "export", str(run), "--out", str(splat), "--format", "ply")
-    return [Step("starting to train", train), Step("writing the splats", export)]
+    return [JobStep("starting to train", train), JobStep("writing the splats", export)]
 
 
 def video_steps(
     python: str, video: Path, out: Path, splat: Path, device: str, quick: bool, settings: Sequence[str] = ()
-) -> list[Step]:
+) -> list[JobStep]:
     """Return the steps that look at a video, train on it in the folder `out` and write the splat file."""
     sets = [text for pair in settings for text in ("--set", pair)]
     core = (python, "-m", "tg4mm")
@@ -68,8 +68,8 @@ def video_steps(
     process = (*core, "process", str(video), "--out", str(out), *how)
     export = (*core, "export", str(out / "run"), "--out", str(splat), "--format", "ply")
     # Of a camera that moves, look may find nothing to say.
-    first = Step("looking at the video", look, optional=True)
-    return [first, Step("starting to train", process), Step("writing the splats", export)]
+    first = JobStep("looking at the video", look, optional=True)
+    return [first, JobStep("starting to train", process), JobStep("writing the splats", export)]
 
 
 def environment() -> dict[str, str]:
@@ -101,7 +101,7 @@ def running(kind: str) -> bool:
     return job is not None and job.running
 
 
-def start(kind: str, steps: Sequence[Step], at_end: Callable[[Job], None]) -> Job:
+def start(kind: str, steps: Sequence[JobStep], at_end: Callable[[Job], None]) -> Job:
     """Start a job; the timer calls `at_end(job)` when it ends, whether it succeeded or not.
 
     Raises OSError if it cannot be started, RuntimeError if a job of its kind is running.

@@ -17,7 +17,7 @@ from tg4mm.core.files import write_json
 from .. import names, preferences
 from . import commands, kinds, objects
 from .commands import Host
-from .runner import Job, State
+from .runner import Job, JobState
 
 _BLEND, _MOTION = "scene.blend", "motion.json"
 
@@ -153,7 +153,7 @@ def _options(settings: Any, scene: Any, runs_in: Host) -> dict[str, str | int | 
 
 def _ended(job: Job, work: Path, then: Callable[[Any], Any]) -> None:
     """Delete the scene copy of a finished dataset and select the dataset in the Train panel."""
-    if job.state is not State.DONE or not job.results:
+    if job.state is not JobState.DONE or not job.results:
         return
     with contextlib.suppress(OSError):
         for name in (_BLEND, f"{_BLEND}1", _MOTION):

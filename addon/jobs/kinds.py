@@ -10,7 +10,7 @@ from dataset_gen.errors import GenerateError
 from dataset_gen.vibration import MotionDescription, read_motion
 
 
-class Row(NamedTuple):
+class KindKey(NamedTuple):
     """One key of a vibration kind in a motion description."""
 
     key: str  # of the description
@@ -19,10 +19,10 @@ class Row(NamedTuple):
     shown: Callable[[Any], bool] = lambda _: True  # by the settings
 
 
-class Kind(NamedTuple):
+class VibrationKind(NamedTuple):
     label: str
     description: str
-    rows: tuple[Row, ...]
+    rows: tuple[KindKey, ...]
 
 
 # Settings that have another name than their key, and those that are left out of the description where they are 0.
@@ -37,46 +37,49 @@ _SETTINGS = {
 _OPTIONAL = ("length", "decay_length", "thickness")
 
 
-def _rows(keys: str, **texts: str) -> tuple[Row, ...]:
+def _rows(keys: str, **texts: str) -> tuple[KindKey, ...]:
     """Rows of keys, with the texts of those that are not called as they are."""
     named = {key: texts.get(key, key.replace("_", " ").title()) for key in keys.split()}
-    return tuple(Row(key, _SETTINGS.get(key, key), text) for key, text in named.items())
+    return tuple(KindKey(key, _SETTINGS.get(key, key), text) for key, text in named.items())
 
 
 _POLARISATION = (
-    Row("polarisation", "rayleigh", "Rayleigh"),
-    Row("polarisation", "axis", "Moves Along", lambda s: not s.rayleigh),
+    KindKey("polarisation", "rayleigh", "Rayleigh"),
+    KindKey("polarisation", "axis", "Moves Along", lambda s: not s.rayleigh),
 )
 _HELD = (
-    Row("held", "hold", "Held"),
-    Row("held", "level", "Height z", lambda s: s.hold == "HEIGHT"),
-    Row("held", "point", "Point", lambda s: s.hold == "POINT"),
+    KindKey("held", "hold", "Held"),
+    KindKey("held", "level", "Height z", lambda s: s.hold == "HEIGHT"),
+    KindKey("held", "point", "Point", lambda s: s.hold == "POINT"),
 )
 _SWAY = (
-    Row("direction", "random", "Random Direction"),
-    Row("direction", "direction", "Direction", lambda s: not s.random),
+    KindKey("direction", "random", "Random Direction"),
+    KindKey("direction", "direction", "Direction", lambda s: not s.random),
 )
-_DRUM, _PLATE = Row("nodes", "drum_nodes", "Nodal Lines, Circles"), Row("nodes", "plate_nodes", "Half Waves")
+_DRUM, _PLATE = (
+    KindKey("nodes", "drum_nodes", "Nodal Lines, Circles"),
+    KindKey("nodes", "plate_nodes", "Half Waves"),
+)
 _PLACE, _THICKNESS = _rows("centre normal"), _rows("thickness")
-KINDS: dict[str, Kind] = {
-    "translate": Kind("Translate", "Everything moves by the same displacement", _rows("direction")),
-    "rock": Kind("Rock", "Rotates back and forth about an axis", _rows("pivot axis")),
-    "twist": Kind("Twist", "Twists about an axis: the angle grows along it", _rows("pivot axis length")),
-    "bending": Kind(
+KINDS: dict[str, VibrationKind] = {
+    "translate": VibrationKind("Translate", "Everything moves by the same displacement", _rows("direction")),
+    "rock": VibrationKind("Rock", "Rotates back and forth about an axis", _rows("pivot axis")),
+    "twist": VibrationKind("Twist", "Twists about an axis: the angle grows along it", _rows("pivot axis length")),
+    "bending": VibrationKind(
         "Bending", "A beam clamped at its base (Euler and Bernoulli)", _rows("base tip direction order")
     ),
-    "wave": Kind(
+    "wave": VibrationKind(
         "Wave", "A wave that travels through the objects",
         (*_rows("direction wavelength", direction="Travels Along"), *_POLARISATION,
          *_rows("decay_length level", level="Surface z")),
     ),
-    "jiggle": Kind("Jiggle", "A soft body, held at a height or at a point", (*_HELD, *_rows("reach"), *_SWAY)),
-    "membrane": Kind("Membrane", "A drum skin", (*_PLACE, *_rows("radius"), _DRUM, *_THICKNESS)),
-    "plate": Kind(
+    "jiggle": VibrationKind("Jiggle", "A soft body, held at a height or at a point", (*_HELD, *_rows("reach"), *_SWAY)),
+    "membrane": VibrationKind("Membrane", "A drum skin", (*_PLACE, *_rows("radius"), _DRUM, *_THICKNESS)),
+    "plate": VibrationKind(
         "Plate", "A rectangle supported along its edge",
         (*_PLACE, *_rows("x size", x="First Side Along", size="Sides"), _PLATE, *_THICKNESS),
     ),
-    "group": Kind(
+    "group": VibrationKind(
         "Vertex Group", "The weights of a vertex group times a direction",
         _rows("group direction", group="Vertex Group"),
     ),
@@ -88,7 +91,7 @@ def _number(value: Any) -> float:
     return float(f"{value:.7g}")
 
 
-def _read(row: Row, value: Any) -> Any:
+def _read(row: KindKey, value: Any) -> Any:
     """Return the value of a key from that of its setting; None leaves it out."""
     if row.setting == "hold" or (row.setting in _OPTIONAL and not value > 0):
         return None
@@ -101,7 +104,7 @@ def _read(row: Row, value: Any) -> Any:
     return [int(x) if isinstance(x, int) else _number(x) for x in value]
 
 
-def rows(settings: Any) -> list[Row]:
+def rows(settings: Any) -> list[KindKey]:
     """Return the visible rows of the selected kind."""
     return [row for row in KINDS[settings.kind].rows if row.shown(settings)]
 

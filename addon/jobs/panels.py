@@ -9,7 +9,7 @@ from dataset_gen.cameras import KINDS
 from .. import preferences
 from ..declare import Declared
 from . import commands, generating, kinds, objects
-from .runner import Job, State
+from .runner import Job, JobState
 
 _NARROW = 280.0  # the sidebar as Blender opens it, pixels at a scale of 1
 _BESIDE, _LETTER = 82.0, 6.4  # what stands beside a line of text; a letter, on average
@@ -136,7 +136,7 @@ def _draw_job(layout: Any, kind: str) -> bool:
 
 
 def _draw_end(layout: Any, job: Job) -> None:
-    icons = {State.DONE: "CHECKMARK", State.FAILED: "ERROR", State.CANCELLED: "CANCEL"}
+    icons = {JobState.DONE: "CHECKMARK", JobState.FAILED: "ERROR", JobState.CANCELLED: "CANCEL"}
     _draw_lines(layout, job.message, icons[job.state])
     for warning in list(job.warnings)[:3]:
         _draw_lines(layout, warning, "INFO")

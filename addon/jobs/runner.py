@@ -47,7 +47,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Line:
+class OutputLine:
     """One parsed line of a program's output; fields it lacks are None or empty."""
 
     text: str
@@ -62,24 +62,24 @@ class Line:
         return bool(self.text) and not (self.progress or self.warning or self.error or self.result)
 
 
-def read_line(line: str) -> Line:
+def read_line(line: str) -> OutputLine:
     """Parse a line. Never raises, because programs may print anything."""
     event = _event(line)
     kind, message = event.get("tg4mm"), _shown(event.get("message"))
     if kind == "progress":
         done, total = (_count(event.get(key)) for key in ("done", "total"))
         progress = Progress(_shown(event.get("label")), done, total, _seconds(event.get("left_s")))
-        return Line(progress.text, progress)
+        return OutputLine(progress.text, progress)
     if kind == "note":
-        return Line(message, Progress(message))
+        return OutputLine(message, Progress(message))
     if kind == "warning":
-        return Line(message, warning=message)
+        return OutputLine(message, warning=message)
     if kind == "error":
-        return Line(message, error=message)
+        return OutputLine(message, error=message)
     if kind == "complete":
         path = event.get("path")
-        return Line(_shown(path), result=path if isinstance(path, str) else "")
-    return Line(_shown(line))
+        return OutputLine(_shown(path), result=path if isinstance(path, str) else "")
+    return OutputLine(_shown(line))
 
 
 def _event(line: str) -> dict[str, Any]:
@@ -118,7 +118,7 @@ if _WINDOWS:
     _OWN_GROUP = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
 
 
-class State(Enum):
+class JobState(Enum):
     """The state of a job."""
 
     RUNNING = "running"
@@ -128,7 +128,7 @@ class State(Enum):
 
 
 @dataclass(frozen=True)
-class Step:
+class JobStep:
     """One program of a job."""
 
     label: str  # what it does, "train": the job shows it until the program says more
@@ -142,13 +142,13 @@ class Job:
     Whoever owns it calls `poll` a few times a second: only `close` waits, two seconds at most. To read: `state`;
     `progress` of the program that runs; `message`, one line, what went wrong; `results`, paths; `warnings`."""
 
-    def __init__(self, steps: Sequence[Step], environment: Mapping[str, str] | None = None) -> None:
+    def __init__(self, steps: Sequence[JobStep], environment: Mapping[str, str] | None = None) -> None:
         """Start the first program. Raises OSError if it cannot be started, ValueError if there is none."""
         if not steps:
             raise ValueError("a job needs at least one program")
         self._waiting = deque(steps[1:])
         self._environment = dict(os.environ if environment is None else environment)
-        self.state, self.message = State.RUNNING, ""
+        self.state, self.message = JobState.RUNNING, ""
         self.progress = Progress(steps[0].label)
         self.results: list[str] = []
         self.warnings: deque[str] = deque(maxlen=_KEPT)
@@ -159,7 +159,7 @@ class Job:
 
     @property
     def running(self) -> bool:
-        return self.state is State.RUNNING
+        return self.state is JobState.RUNNING
 
     @property
     def cancelling(self) -> bool:
@@ -199,7 +199,7 @@ class Job:
                 break
         self._finish()
 
-    def _take(self, line: Line) -> None:
+    def _take(self, line: OutputLine) -> None:
         if line.progress is not None:
             self.progress = line.progress
         if line.warning:
@@ -213,28 +213,30 @@ class Job:
         status = self._program.process.poll()
         if self._asked_at is not None:
             self._program.end(2)  # whatever the program itself had started
-            self._over(State.CANCELLED, "Stopped")
+            self._over(JobState.CANCELLED, "Stopped")
         elif status and not self._step.optional:
             error, last = self._program.error, self._program.last or "no output"
-            self._over(State.FAILED, error or f"ended with status {status}: {last}")
+            self._over(JobState.FAILED, error or f"ended with status {status}: {last}")
         elif self._waiting:
             self._step = step = self._waiting.popleft()
             self.progress = Progress(step.label)
             try:
                 self._program = _Program(step, self._environment)
             except OSError as error:
-                self._over(State.FAILED, f"{error.filename or 'the program'} cannot be run: {error.strerror}")
+                self._over(
+                    JobState.FAILED, f"{error.filename or 'the program'} cannot be run: {error.strerror}"
+                )
         else:
-            self._over(State.DONE, "")
+            self._over(JobState.DONE, "")
 
-    def _over(self, state: State, message: str) -> None:
+    def _over(self, state: JobState, message: str) -> None:
         self.state, self.message = state, message
 
 
 class _Program:
     """A process in its own process group, and a thread that reads its output."""
 
-    def __init__(self, step: Step, environment: Mapping[str, str]) -> None:
+    def __init__(self, step: JobStep, environment: Mapping[str, str]) -> None:
         """Start the process. Raises OSError if it cannot be started."""
         self.error = self.last = ""  # the last line that says what is wrong; the last line of all
         self._ended_at: float | None = None
@@ -252,9 +254,9 @@ class _Program:
         arguments = (self.process.stdout.fileno(), self.process.stdout, self._lines)
         threading.Thread(target=_read, args=arguments, daemon=True).start()
 
-    def heard(self) -> list[Line]:
+    def heard(self) -> list[OutputLine]:
         """Return the lines printed since the last call."""
-        found: list[Line] = []
+        found: list[OutputLine] = []
         with contextlib.suppress(queue.Empty):
             while len(found) < _MOST_LINES:
                 text = self._lines.get_nowait()

@@ -8,7 +8,7 @@ import bpy
 from dataset_gen.errors import GenerateError
 
 from . import commands, generating
-from .runner import Job, State
+from .runner import Job, JobState
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 
@@ -36,7 +36,7 @@ def start_after(context: Any) -> None:
     except (GenerateError, OSError, RuntimeError) as error:
         job = commands.get(commands.GENERATE)
         assert job is not None
-        job.state, job.message = State.FAILED, f"generated, but not trained: {error}"
+        job.state, job.message = JobState.FAILED, f"generated, but not trained: {error}"
 
 
 def start_video(context: Any, video: Path) -> Job:
@@ -63,7 +63,7 @@ def _python(context: Any) -> str:
 
 def _import(job: Job, splat: Path) -> None:
     """Import the splats of a job that has succeeded."""
-    if job.state is not State.DONE:
+    if job.state is not JobState.DONE:
         return
     manager = bpy.context.window_manager
     window = manager.windows[0] if manager.windows else None  # a timer has no window of its own
@@ -72,6 +72,6 @@ def _import(job: Job, splat: Path) -> None:
             bpy.ops.import_scene.tg4mm_splat("EXEC_DEFAULT", True, filepath=str(splat), sequence=False)
     except RuntimeError as error:
         reason = " ".join(str(error).removeprefix("Error: ").split())
-        job.state, job.message = State.FAILED, f"trained, but not imported: {reason}"
+        job.state, job.message = JobState.FAILED, f"trained, but not imported: {reason}"
         return
     job.message = f"Imported: {splat}"

@@ -24,7 +24,7 @@ _SUMS = (
 )
 
 
-class Motion(NamedTuple):
+class MotionSockets(NamedTuple):
     """Fields over the points, as sockets of the tree that uses the group."""
 
     offset: Any  # scene units
@@ -119,12 +119,12 @@ def _build_mode(name: str) -> Any:
     return graph.tree
 
 
-def use_motion(graph: Graph, tree: Any, inputs: Any) -> Motion:
+def use_motion(graph: Graph, tree: Any, inputs: Any) -> MotionSockets:
     """Add a node of the group, linked to the inputs of the same names."""
     node = graph.node("GeometryNodeGroup", node_tree=tree)
     for socket in node.inputs:
         graph.put(inputs[socket.name], socket)
-    return Motion(*(node.outputs[name] for name in ("Offset", "Turn", "Amplitude", "Phase")))
+    return MotionSockets(*(node.outputs[name] for name in ("Offset", "Turn", "Amplitude", "Phase")))
 
 
 def elapsed(graph: Graph, inputs: Any, fps: float) -> Any:

@@ -11,7 +11,7 @@ from .applied import Applied, applied, at_rest, build_applied, growth, parts, pu
 from .clock import whole_band
 from .colours import C0, build_colour_map, build_encoded, build_harmonics, camera_place
 from .graph import Graph, Made
-from .motion import Motion, build_motion, build_sequence, use_motion
+from .motion import MotionSockets, build_motion, build_sequence, use_motion
 from .shapes import DRAW_MODES, USUAL, Materials, available, build_shapes, is_drawn
 
 MANY_ARROWS = 2000  # beyond these an arrow stands for several Gaussians
@@ -203,7 +203,7 @@ def _preset_menus(graph: Graph) -> None:
             graph.tree.interface.items_tree[name].default_value = item
 
 
-def _moved(graph: Graph, points: Any, motion: Motion, draw: Any) -> Any:
+def _moved(graph: Graph, points: Any, motion: MotionSockets, draw: Any) -> Any:
     still, round_ = (
         is_drawn(graph, draw, lambda mode: mode.still),
         is_drawn(graph, draw, lambda mode: not mode.turns),
@@ -230,7 +230,7 @@ def _coloured(
     inputs: Any,
     content: Content,
     by: Any,
-    motion: Motion | None,
+    motion: MotionSockets | None,
     moved: Applied,
     kept: tuple[str, Made],
 ) -> Any:

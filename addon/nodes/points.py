@@ -97,14 +97,14 @@ def world(obj: Any, mesh: Any) -> np.ndarray:
     return values(mesh, "position") @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-class Part(NamedTuple):
+class ImportedPart(NamedTuple):
     """The Gaussians of one import, and the transform that Apply Transform gave them."""
 
     rows: np.ndarray  # [n] their numbers among all Gaussians of the mesh
     applied: np.ndarray | None  # [4, 4] float64: place = applied · place in the file; None: references lost
 
 
-def parts(mesh: Any) -> list[Part]:
+def parts(mesh: Any) -> list[ImportedPart]:
     """Return the parts of a joined mesh (one if it was never joined), as applied.py's nodes do. Not in Edit Mode."""
     numbers, rest = np.zeros(len(mesh.vertices), np.int32), np.zeros(3 * len(mesh.vertices), np.float32)
     now = np.empty(3 * len(mesh.vertices), np.float32)
@@ -124,7 +124,7 @@ def parts(mesh: Any) -> list[Part]:
         rows = np.flatnonzero(ended[is_gaussian] == part)
         marked = np.flatnonzero((ended == part) & ~is_gaussian)
         if len(rows) or len(marked):
-            found_parts.append(Part(rows, _affine(*(flat[marked] for flat in places))))
+            found_parts.append(ImportedPart(rows, _affine(*(flat[marked] for flat in places))))
     return found_parts
 
 

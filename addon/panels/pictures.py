@@ -18,7 +18,7 @@ _TOLD_OFF = 0.0  # s, between the panel's wish and the drawing
 Key = tuple[Hashable, ...]
 
 
-class Pictures:
+class Icons:
     """The extension's icons and their contents, from `register` to `unregister`."""
 
     def __init__(self) -> None:
@@ -77,11 +77,11 @@ class Pictures:
         self._names[key], self._last[key[0]] = name, key
 
 
-_pictures: Pictures | None = None
+_pictures: Icons | None = None
 
 
 def icon(function: Callable[..., np.ndarray], *arguments: Hashable) -> int:
-    """Return `Pictures.icon` and schedule the drawing of missing pictures."""
+    """Return `Icons.icon` and schedule the drawing of missing pictures."""
     assert _pictures is not None, "the extension is not registered"
     number = _pictures.icon(function, *arguments)
     if _pictures.waiting and not bpy.app.timers.is_registered(_refresh):
@@ -96,7 +96,7 @@ def prepare(function: Callable[..., np.ndarray], *arguments: Hashable) -> None:
         shared().refresh()
 
 
-def shared() -> Pictures:
+def shared() -> Icons:
     """Return the extension's pictures."""
     assert _pictures is not None, "the extension is not registered"
     return _pictures
@@ -131,7 +131,7 @@ def _refresh() -> None:
 
 def register() -> None:
     global _pictures
-    _pictures = Pictures()
+    _pictures = Icons()
 
 
 def unregister() -> None:

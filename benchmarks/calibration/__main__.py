@@ -27,7 +27,7 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.calibration import stages
-from benchmarks.calibration.draw import Truth, make_film
+from benchmarks.calibration.draw import FilmTruth, make_film
 from benchmarks.calibration.duplicates import duplicates_outcome, duplicates_table
 from benchmarks.calibration.kinds import kinds_stage
 from benchmarks.calibration.photographs import make_photograph_film
@@ -46,7 +46,7 @@ def scored(
     folder: Path,
     wanted: tuple[str, ...],
     python: str,
-    make: Callable[[int, Path], Truth] = make_film,
+    make: Callable[[int, Path], FilmTruth] = make_film,
 ) -> dict[str, Score]:
     """A film's scores by method; made where they are not there."""
     truth = make(seed, folder)

@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks.calibration.film import (
     Coding,
     Film,
+    FilmMode,
     Layer,
-    Mode,
     Motion,
     Painter,
     Region,
@@ -61,7 +61,7 @@ class TrueVibration:
 
 
 @dataclass
-class Truth:
+class FilmTruth:
     """What a film shows."""
 
     width: int
@@ -82,12 +82,14 @@ class Truth:
         return self.frames / self.fps
 
 
-def make_film(seed: int, folder: Path) -> Truth:
+def make_film(seed: int, folder: Path) -> FilmTruth:
     """Draw and write one film, as `Draw`."""
     return kept_film(seed, folder, Draw(seed).film)
 
 
-def kept_film(seed: int, folder: Path, drawn: Callable[[], tuple[np.ndarray, Coding, Truth]]) -> Truth:
+def kept_film(
+    seed: int, folder: Path, drawn: Callable[[], tuple[np.ndarray, Coding, FilmTruth]]
+) -> FilmTruth:
     """folder/SEED.mp4 and SEED.json; those there are kept."""
     video, notes = folder / f"{seed:04d}.mp4", folder / f"{seed:04d}.json"
     if video.exists() and notes.exists():
@@ -101,7 +103,7 @@ def kept_film(seed: int, folder: Path, drawn: Callable[[], tuple[np.ndarray, Cod
     return truth
 
 
-def read_truth(path: Path) -> Truth:
+def read_truth(path: Path) -> FilmTruth:
     """As `make_film` wrote it."""
     values = json.loads(path.read_text())
     values["vibrations"] = [
@@ -109,7 +111,7 @@ def read_truth(path: Path) -> Truth:
         for v in values["vibrations"]
     ]
     values["movers"] = [(kind, tuple(region)) for kind, region in values["movers"]]
-    return Truth(**values)
+    return FilmTruth(**values)
 
 
 class Draw:
@@ -126,12 +128,12 @@ class Draw:
         bits = float(np.exp(rng.uniform(np.log(0.08), np.log(3))))
         per_second = int(bits * self.width * self.height * self.fps)
         self.coding = Coding(codec, per_second, [None, 30, 12][rng.integers(3)])
-        self.truth = Truth(
+        self.truth = FilmTruth(
             self.width, self.height, self.fps, self.frames, float(rng.uniform(2, 8)), codec, bits
         )
         self.painters: list[Painter] = []
 
-    def film(self) -> tuple[np.ndarray, Coding, Truth]:
+    def film(self) -> tuple[np.ndarray, Coding, FilmTruth]:
         rng = self.rng
         layers = [Layer(self.surface(), None, [], self.blur)]
         layers += [Layer(self.surface(), self.box(), [], self.blur) for _ in range(rng.integers(0, 3))]
@@ -169,7 +171,7 @@ class Draw:
         boxes = (self.box() for _ in range(_TRIES))
         return next((box for box in boxes if self._is_free(box, gap)), None)
 
-    def _modes(self, region: Region) -> Iterator[Mode]:
+    def _modes(self, region: Region) -> Iterator[FilmMode]:
         rng, tilted = self.rng, bool(self.rng.random() < 0.3)
         count = 1 if rng.random() < 0.7 else 2
         for k in range(count):
@@ -178,7 +180,7 @@ class Draw:
             y = np.arange(self.height) + 0.5
             rise = np.array([vibration.at(v) for v in y]) if tilted else np.ones(self.height)
             shape = np.array(vibration.amplitude_px) * rise[:, None, None] * np.ones((1, self.width, 1))
-            yield Mode(shape, vibration.motion())
+            yield FilmMode(shape, vibration.motion())
 
     def vibration(self, region: Region, tilted: bool, factor: float) -> TrueVibration:
         """Draw the vibration of a region, at a frequency that no other has."""

@@ -26,7 +26,7 @@ Region = tuple[int, int, int, int]  # left, upper, right, lower edge, pixels
 
 
 @dataclass(frozen=True)
-class Mode:
+class FilmMode:
     """A displacement shape [H, W, 2] in pixels times a function of time."""
 
     shape: np.ndarray
@@ -37,7 +37,7 @@ class Layer:
     """A texture over a region, moved by modes."""
 
     def __init__(
-        self, texture: np.ndarray, region: Region | None, modes: Sequence[Mode], blur_px: float
+        self, texture: np.ndarray, region: Region | None, modes: Sequence[FilmMode], blur_px: float
     ) -> None:
         """texture [3 H, 3 W], linear light; region None: the whole picture; blur_px: the lens."""
         height, width = (n // FINE for n in texture.shape)

@@ -21,7 +21,7 @@ from tg4mm.run.train import train
 from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure, prepare
 from tg4mm.show.measure.orbit import main_is_above
 from tg4mm.show.result.read import result_from
-from tg4mm.show.result.reading import Reading, reading_of
+from tg4mm.show.result.reading import ResultSources, reading_of
 
 FPS = 30.0
 # Options of the generator, pictures of each camera over time, and the fewest periods that such a record must hold.
@@ -146,7 +146,7 @@ def _nearest(hz: float, found: Sequence[tuple[float, float]], duration_s: float)
     return min(near, key=lambda k: abs(found[k][0] - hz), default=None)
 
 
-def _of_run(reading: Reading, truth: Truth, exact: np.ndarray, what: Drawn) -> Score:
+def _of_run(reading: ResultSources, truth: Truth, exact: np.ndarray, what: Drawn) -> Score:
     out, named = Score(), result_from(reading).vibrations
     lines, used = [(v.hz, v.deviation_hz) for v in named], set()
     for hz, phasors in _at(truth.freqs_hz, exact):

@@ -15,7 +15,7 @@ import skimage
 from PIL import Image, ImageOps
 from scipy import ndimage
 
-from benchmarks.calibration.draw import Draw, TrueVibration, Truth, kept_film
+from benchmarks.calibration.draw import Draw, FilmTruth, TrueVibration, kept_film
 from benchmarks.calibration.film import Coding, Region
 
 NAMES = (
@@ -31,7 +31,7 @@ _NOISE = 0.5, 3.0  # grey levels
 _MOST = 240  # pictures
 
 
-def make_photograph_film(seed: int, folder: Path) -> Truth:
+def make_photograph_film(seed: int, folder: Path) -> FilmTruth:
     """Film seed // 4 at quality seed % 4."""
     return kept_film(seed, folder, lambda: _drawn(seed))
 
@@ -47,7 +47,7 @@ class _Part:
     opacity: np.ndarray | None  # of a body; None: it bends
 
 
-def _drawn(seed: int) -> tuple[np.ndarray, Coding, Truth]:
+def _drawn(seed: int) -> tuple[np.ndarray, Coding, FilmTruth]:
     shown, truth = _film(seed // len(QUALITIES))
     crf = QUALITIES[seed % len(QUALITIES)]
     truth = replace(truth, codec=f"libx264 crf {crf}", bits_per_pixel=0.0)
@@ -55,7 +55,7 @@ def _drawn(seed: int) -> tuple[np.ndarray, Coding, Truth]:
 
 
 @lru_cache(1)
-def _film(number: int) -> tuple[np.ndarray, Truth]:
+def _film(number: int) -> tuple[np.ndarray, FilmTruth]:
     draw = Draw(_SEEDS + number)
     rng, (width, height), frames = draw.rng, _SIZE, min(draw.frames, _MOST)
     draw.duration = frames / draw.fps

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from benchmarks.calibration.draw import TrueVibration, Truth
+from benchmarks.calibration.draw import FilmTruth, TrueVibration
 
 _NEAR_PX = 12  # around a region in which a line belongs to it
 EDGES = (0.0, 0.02, 0.05, 0.1, 0.2, 0.5)  # amplitudes, pixels
@@ -52,7 +52,7 @@ class Score:
     seconds: float = 0.0  # of processor time
 
 
-def score(truth: Truth, named: Sequence[Named], seconds: float) -> Score:
+def score(truth: FilmTruth, named: Sequence[Named], seconds: float) -> Score:
     """Every true vibration takes the line without a mark nearest to it, within 1 / duration or 3 of its ±."""
     out, left = Score(seconds=seconds, is_still=not truth.vibrations), [n for n in named if not n.marked]
     by_size = sorted(truth.vibrations, key=lambda v: -v.size_px)

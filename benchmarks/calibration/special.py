@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.calibration.draw import Draw, TrueVibration, Truth, kept_film
+from benchmarks.calibration.draw import Draw, FilmTruth, TrueVibration, kept_film
 from benchmarks.calibration.film import FINE, Coding, Film, Layer, sliding, texture
 
 _PLAIN_SEEDS, _LARGE_SEEDS = 50_000, 70_000  # of these films on
@@ -16,17 +16,17 @@ _HALF_PX = 18, 52  # of a plate's side
 _MOST = 240  # pictures
 
 
-def make_plain_film(seed: int, folder: Path) -> Truth:
+def make_plain_film(seed: int, folder: Path) -> FilmTruth:
     """Make a still film: shade, hardly any texture, and one to three textured boxes before it. Every line is false."""
     return kept_film(seed, folder, lambda: _plain(Draw(_PLAIN_SEEDS + seed)))
 
 
-def make_large_film(seed: int, folder: Path) -> Truth:
+def make_large_film(seed: int, folder: Path) -> FilmTruth:
     """Make a film of two plates that move."""
     return kept_film(seed, folder, lambda: _large(seed))
 
 
-def _plain(draw: Draw) -> tuple[np.ndarray, Coding, Truth]:
+def _plain(draw: Draw) -> tuple[np.ndarray, Coding, FilmTruth]:
     draw.frames = draw.truth.frames = min(draw.frames, _MOST)
     draw.duration = draw.frames / draw.fps
     rng, w, h = draw.rng, draw.width, draw.height
@@ -43,7 +43,7 @@ def _plain(draw: Draw) -> tuple[np.ndarray, Coding, Truth]:
     return film.pictures(), draw.coding, draw.truth
 
 
-def _large(seed: int) -> tuple[np.ndarray, Coding, Truth]:
+def _large(seed: int) -> tuple[np.ndarray, Coding, FilmTruth]:
     draw = Draw(_LARGE_SEEDS + seed)
     rng, frames, width, height = draw.rng, min(draw.frames, _MOST), 320, 192
     plates, painters = [_plate(draw, frames, 80, True), _plate(draw, frames, 240, rng.random() < 0.5)], []

@@ -11,23 +11,23 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.calibration.draw import TrueVibration, Truth
+from benchmarks.calibration.draw import FilmTruth, TrueVibration
 from benchmarks.calibration.film import Region
 from benchmarks.calibration.score import Named, Score, score
-from tg4mm.capture.look import Found, look
+from tg4mm.capture.look import LookSummary, look
 from tg4mm.core.lines import Line, find_lines
 
 _INSIDE = 0.45  # of a region's shorter side: the radius of a sensor in it
 
 
-def look_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
+def look_stage(video: Path, truth: FilmTruth, python: str) -> dict[str, Score]:
     """One pass over the video."""
     began = time.process_time()
     found = look(video)
     return {"look": score(truth, named_by_look(found), time.process_time() - began)}
 
 
-def named_by_look(found: Found) -> list[Named]:
+def named_by_look(found: LookSummary) -> list[Named]:
     """Its lines."""
     return [
         Named(
@@ -39,7 +39,7 @@ def named_by_look(found: Found) -> list[Named]:
     ]
 
 
-def whole_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
+def whole_stage(video: Path, truth: FilmTruth, python: str) -> dict[str, Score]:
     """sfm, train, and measure with a sensor in every region that vibrates: its samples, peaks and what train names."""
     from tg4mm.capture.sfm.reconstruct import reconstruct
     from tg4mm.run.train import train
@@ -101,7 +101,7 @@ def _sensor(kind: type, k: int, region: Region, camera: str) -> object:
     return kind(f"region {k}", "pixel", ((left + right) / 2, (upper + lower) / 2, radius), camera)
 
 
-def _truth_in(region: Region, truth: Truth, times_s: np.ndarray) -> np.ndarray:
+def _truth_in(region: Region, truth: FilmTruth, times_s: np.ndarray) -> np.ndarray:
     """[F, 2] pixels right and down in the middle of a region."""
     return np.sum([_moved(v, times_s) for v in truth.vibrations if v.region == region], axis=0)
 
@@ -113,7 +113,7 @@ def _moved(vibration: TrueVibration, times_s: np.ndarray) -> np.ndarray:
     return np.array([motion(float(t)) for t in times_s])[:, None] * share * np.array(vibration.amplitude_px)
 
 
-def baselines_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
+def baselines_stage(video: Path, truth: FilmTruth, python: str) -> dict[str, Score]:
     """Lines (`tg4mm.core.lines`) in what two other estimators say of the regions that vibrate, or of the middle."""
     regions = list(dict.fromkeys(v.region for v in truth.vibrations))
     w, h = truth.width, truth.height

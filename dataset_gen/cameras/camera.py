@@ -16,7 +16,7 @@ _PARALLEL = 1e-9  # of sines: a line of sight this near to vertical has no uprig
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class SceneCamera:
     """One view: its number in the file names, its pose and lens. Square pixels, no distortion.
 
     Two cameras are equal, and hash alike, if all of their numbers are. The pose is kept as a read-only copy.
@@ -68,7 +68,7 @@ class Camera:
         focal = self.focal(width)
         return project(positions, self.camera_to_world, (focal, focal, *self.principal_point(width, height)))
 
-    def numbered(self, index: int) -> "Camera":
+    def numbered(self, index: int) -> "SceneCamera":
         """The same camera under another number."""
         return replace(self, index=index)
 
@@ -76,7 +76,7 @@ class Camera:
         return self.index, self.camera_to_world.tobytes(), self.rotation, self.angle_x, self.shift
 
     def __eq__(self, other: object) -> bool:
-        return self._key() == other._key() if isinstance(other, Camera) else NotImplemented
+        return self._key() == other._key() if isinstance(other, SceneCamera) else NotImplemented
 
     def __hash__(self) -> int:
         return hash(self._key())
@@ -89,7 +89,7 @@ class Camera:
         }  # fmt: skip
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "Camera":
+    def from_json(cls, data: dict[str, Any]) -> "SceneCamera":
         pose, (x, y) = np.array(data["camera_to_world"], np.float64), data["shift"]
         return cls(data["index"], pose, data["rotation"], data["angle_x"], (x, y))
 
@@ -106,9 +106,9 @@ class Aim:
         """[3] float64: `nearness` · distance from the centre, towards an azimuth and an elevation (radians)."""
         return np.array(self.centre) + self.distance * nearness * direction(azimuth, elevation)
 
-    def look_from(self, index: int, position: np.ndarray, rotation: float = 0.0) -> Camera:
+    def look_from(self, index: int, position: np.ndarray, rotation: float = 0.0) -> SceneCamera:
         """A camera at `position` [3] that looks at the centre."""
-        return Camera(index, look_at(position, np.array(self.centre)), rotation, self.angle_x)
+        return SceneCamera(index, look_at(position, np.array(self.centre)), rotation, self.angle_x)
 
 
 ORIGINAL = Aim()
@@ -155,7 +155,7 @@ def scene_cameras(
     poses: Sequence[np.ndarray],
     angles_x: Sequence[float],
     shifts: Sequence[tuple[float, float]] | None = None,
-) -> tuple[Camera, ...]:
+) -> tuple[SceneCamera, ...]:
     """Cameras found in a user's scene, numbered in order.
 
     Parameters: `poses`, camera-to-world [4, 4] with OpenGL axes, as Blender's matrix_world is; a scale in
@@ -165,7 +165,7 @@ def scene_cameras(
     """
     shifts = [(0.0, 0.0)] * len(poses) if shifts is None else shifts
     return tuple(
-        Camera(i, _rigid(i, np.array(pose, np.float64)), 0.0, float(angle), shift)
+        SceneCamera(i, _rigid(i, np.array(pose, np.float64)), 0.0, float(angle), shift)
         for i, (pose, angle, shift) in enumerate(zip(poses, angles_x, shifts, strict=True))
     )
 
@@ -186,13 +186,13 @@ def _rigid(index: int, pose: np.ndarray) -> np.ndarray:
 
 
 def transforms(
-    cameras: Sequence[Camera],
+    cameras: Sequence[SceneCamera],
     split: str,
     time_s: float,
     width: int,
     height: int,
     suffix: str = "",
-    at_rest: Collection[Camera] = (),
+    at_rest: Collection[SceneCamera] = (),
 ) -> dict[str, object]:
     """Content of `transforms_<split>.json`: NeRF-synthetic's keys, time in seconds, intrinsics as extras.
 
@@ -216,7 +216,7 @@ def transforms(
 
 
 def _frame(
-    camera: Camera, split: str, time_s: float | None, width: int, height: int, suffix: str
+    camera: SceneCamera, split: str, time_s: float | None, width: int, height: int, suffix: str
 ) -> dict[str, Any]:
     focal, (cx, cy) = camera.focal(width), camera.principal_point(width, height)
     return {

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .camera import ORIGINAL, Aim, Camera
+from .camera import ORIGINAL, Aim, SceneCamera
 
 PLACE_RMS = 0.0015  # of the distance to the scene: 1.5 mm at one metre, per axis
 TURN_RMS = float(np.radians(0.1))  # per axis
@@ -49,7 +49,7 @@ class Tremor:
         return channels[:3], channels[3:]
 
 
-def held(tremor: Tremor, time_s: float, index: int, aim: Aim, place: np.ndarray) -> Camera:
+def held(tremor: Tremor, time_s: float, index: int, aim: Aim, place: np.ndarray) -> SceneCamera:
     """The camera that a hand holds at `place` [3] and aims at the centre."""
     moved, turn = tremor.at(time_s)
     steady = aim.look_from(index, place)
@@ -79,12 +79,12 @@ _HELD_ELEVATION, _HELD_RISE = np.radians(20.0), np.radians(5.0)
 _TEST_OFF = np.radians(3.0)  # test views lie this far above or below the path
 
 
-def fixed_camera(aim: Aim) -> Camera:
+def fixed_camera(aim: Aim) -> SceneCamera:
     """The camera on its tripod, number 0 at every timestep."""
     return aim.look_from(0, aim.place(_FRONT, float(_FIXED_ELEVATION)))
 
 
-def sweep_cameras(n: int, aim: Aim, seed: int) -> list[Camera]:
+def sweep_cameras(n: int, aim: Aim, seed: int) -> list[SceneCamera]:
     """`n` views of a walk once around the scene with the camera raised and lowered twice, numbered from 1."""
     tremor = Tremor.of(seed, 30.0)  # of a hand, whatever the recording's rate
     lag, reach = np.random.default_rng([seed, 0x53EE]).uniform(0.0, 2 * np.pi, 2)
@@ -108,12 +108,12 @@ def drift(seed: int, time_s: float) -> tuple[float, float, float]:
     return float(azimuth), float(elevation), float(1.0 + 0.03 * np.sin(2 * np.pi * 0.19 * time_s + reach))
 
 
-def handheld_camera(time_s: float, fps: float, aim: Aim, seed: int) -> Camera:
+def handheld_camera(time_s: float, fps: float, aim: Aim, seed: int) -> SceneCamera:
     """The one camera at a time in seconds: it drifts at up to 15° per second, 40° to either side."""
     return held(Tremor.of(seed, fps), time_s, 0, aim, aim.place(*drift(seed, time_s)))
 
 
-def beside_path(n: int, duration_s: float, aim: Aim, seed: int) -> list[Camera]:
+def beside_path(n: int, duration_s: float, aim: Aim, seed: int) -> list[SceneCamera]:
     """`n` fixed test cameras along the hand-held path, alternately 3° above and below it.
 
     Views from the far side of the scene, which the hand-held camera never saw, could not be asked for.
@@ -130,7 +130,7 @@ _BASE_ELEVATION = float(np.arctan2(0.5, 4.0))
 _TEST_PATH = 10  # views of the published test path; fewer are chosen from it
 
 
-def spiral(n_views: int, tilt: float, start: float, aim: Aim = ORIGINAL) -> list[Camera]:
+def spiral(n_views: int, tilt: float, start: float, aim: Aim = ORIGINAL) -> list[SceneCamera]:
     """Two turns of azimuth from 90° + `start`, elevation 7.1° + (0 … `tilt`); angles in radians.
 
     The formula of the script that rendered NeRF-synthetic: a camera at (0, 4, 0.5) looks at the origin and hangs on an
@@ -150,12 +150,12 @@ def spiral(n_views: int, tilt: float, start: float, aim: Aim = ORIGINAL) -> list
     return cameras
 
 
-def train_cameras(n_views: int, aim: Aim = ORIGINAL) -> list[Camera]:
+def train_cameras(n_views: int, aim: Aim = ORIGINAL) -> list[SceneCamera]:
     """Training views; 30 of them are exactly those of the published data."""
     return spiral(n_views, 0.7, 0.0, aim)
 
 
-def test_cameras(n_views: int, aim: Aim = ORIGINAL) -> list[Camera]:  # noqa: PT028 (it is no test)
+def test_cameras(n_views: int, aim: Aim = ORIGINAL) -> list[SceneCamera]:  # noqa: PT028 (it is no test)
     """Test views: spread over the published path of 10, numbered as in it; above 10 a path of their own."""
     start = np.radians(15.0)
     if n_views > _TEST_PATH:
@@ -170,7 +170,7 @@ _PLACE = np.radians(1.5)  # and nobody mounts a camera to the degree
 _DEPTH = 0.02  # of the distance
 
 
-def rig_cameras(n: int, aim: Aim, seed: int) -> list[Camera]:
+def rig_cameras(n: int, aim: Aim, seed: int) -> list[SceneCamera]:
     """`n` cameras on arcs at one to three elevations, fewer cameras on the higher ones.
 
     Fields of view lie within 5 % of the aim's, places within 1.5° and 2 % of the regular ones.
@@ -178,13 +178,13 @@ def rig_cameras(n: int, aim: Aim, seed: int) -> list[Camera]:
     return _mounted(n, aim, np.random.default_rng([seed, 0x716]), _LENS)
 
 
-def clip_cameras(n: int, aim: Aim, seed: int) -> list[Camera]:
+def clip_cameras(n: int, aim: Aim, seed: int) -> list[SceneCamera]:
     """One camera in `n` places, as those of a rig; its lens stays the same."""
     return _mounted(n, aim, np.random.default_rng([seed, 0xC11F]), 0.0)
 
 
-def _mounted(n: int, aim: Aim, rng: np.random.Generator, spread: float) -> list[Camera]:
-    cameras: list[Camera] = []
+def _mounted(n: int, aim: Aim, rng: np.random.Generator, spread: float) -> list[SceneCamera]:
+    cameras: list[SceneCamera] = []
     for azimuth, elevation in _places(n):
         off = rng.uniform(-1.0, 1.0, 4)
         lens = replace(aim, angle_x=aim.angle_x * (1.0 + spread * float(off[3])))
@@ -212,7 +212,7 @@ _MOST = 300  # steps, 20 times as far
 _DIRECTIONS = 400
 
 
-def farther(points: np.ndarray, cameras: Callable[[float], Sequence[Camera]]) -> float:
+def farther(points: np.ndarray, cameras: Callable[[float], Sequence[SceneCamera]]) -> float:
     """The least factor from 1 in steps of 1 % for which `cameras(factor)` have all `points` [P, 3] in their pictures.
 
     Pictures are square.
@@ -226,7 +226,7 @@ def farther(points: np.ndarray, cameras: Callable[[float], Sequence[Camera]]) ->
     return round(clearance, 6)
 
 
-def half_widths(camera: Camera, points: np.ndarray) -> float:
+def half_widths(camera: SceneCamera, points: np.ndarray) -> float:
     """Return the largest distance of the projected points [P, 3] from the picture's centre, in half widths.
 
     Infinite if one lies behind the camera.

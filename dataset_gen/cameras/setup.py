@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import GenerateError, check_choice, check_whole, check_within
 from . import paths
-from .camera import CAMERA_ANGLE_X, DISTANCE, Aim, Camera
+from .camera import CAMERA_ANGLE_X, DISTANCE, Aim, SceneCamera
 
 _FARTHEST = 1e5  # scene units
 _FASTEST = 1e6  # Hz
@@ -37,7 +37,7 @@ class CameraSetup:
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  # looked at, scene units
     distance: float = DISTANCE  # from the centre, scene units
     angle_x: float = CAMERA_ANGLE_X  # horizontal field of view, radians
-    given: tuple[Camera, ...] = ()  # of kind "given" alone
+    given: tuple[SceneCamera, ...] = ()  # of kind "given" alone
     clock_offset_s: float = 0.0  # how far the clocks of cameras that film together are off at most, seconds
     # training cameras other than the orbit's stand this many times as far away (`framing`)
     clearance: float = 1.0
@@ -66,7 +66,9 @@ class CameraSetup:
         if [camera.index for camera in self.given] != list(range(len(self.given))):
             raise GenerateError(f"given cameras are numbered {[c.index for c in self.given]}, not 0, 1, …")
 
-    def placed(self, centre: Sequence[float], radius: float, cameras: Sequence[Camera] = ()) -> "CameraSetup":
+    def placed(
+        self, centre: Sequence[float], radius: float, cameras: Sequence[SceneCamera] = ()
+    ) -> "CameraSetup":
         """The same cameras around a scene that fills a sphere (scene units); `cameras` found in it, if given.
 
         Raises GenerateError if kind is "given" and there are none, or if the sphere has no size.
@@ -92,11 +94,11 @@ class CameraSetup:
             return self
         times = range(self.n_timesteps) if self.kind == "handheld" else (0,)
 
-        def train(clearance: float) -> list[Camera]:
+        def train(clearance: float) -> list[SceneCamera]:
             setup = replace(self, clearance=clearance)
             return [camera for t in times for camera in cameras_at(setup, t)["train"]]
 
-        def test(clearance: float) -> list[Camera]:
+        def test(clearance: float) -> list[SceneCamera]:
             return list(cameras_at(replace(self, test_clearance=clearance), 0)["test"])
 
         framed = self
@@ -152,11 +154,11 @@ class CameraSetup:
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> "CameraSetup":
         x, y, z = data["centre"]
-        given = tuple(Camera.from_json(camera) for camera in data["given"])
+        given = tuple(SceneCamera.from_json(camera) for camera in data["given"])
         return cls(**{**data, "centre": (x, y, z), "given": given})
 
 
-def cameras_at(setup: CameraSetup, timestep: int) -> dict[str, tuple[Camera, ...]]:
+def cameras_at(setup: CameraSetup, timestep: int) -> dict[str, tuple[SceneCamera, ...]]:
     """The cameras of splits "train" and "test" at a timestep, 0 … n_timesteps − 1.
 
     A camera that stands still compares and hashes equal at any two timesteps, and has the same name.
@@ -177,12 +179,12 @@ class CameraKind(NamedTuple):
     about: str  # a few words for the command line and the panel
     capture: str  # the kind that scene.json names, of a capture of several timesteps
     # Training cameras of a setup at a timestep.
-    train: Callable[[CameraSetup, int], Sequence[Camera]]
+    train: Callable[[CameraSetup, int], Sequence[SceneCamera]]
     single: bool = False  # takes no number of views
     together: bool = False  # cameras film at the same time, each with a clock
 
 
-def _sweep(setup: CameraSetup, timestep: int) -> Sequence[Camera]:
+def _sweep(setup: CameraSetup, timestep: int) -> Sequence[SceneCamera]:
     round_ = () if timestep else paths.sweep_cameras(setup.views, setup.stand, setup.seed)
     return (paths.fixed_camera(setup.stand), *round_)
 
@@ -210,12 +212,12 @@ KINDS = {
 
 
 @functools.lru_cache(maxsize=1024)
-def _train(setup: CameraSetup, timestep: int) -> tuple[Camera, ...]:
+def _train(setup: CameraSetup, timestep: int) -> tuple[SceneCamera, ...]:
     return tuple(KINDS[setup.kind].train(setup, timestep))
 
 
 @functools.lru_cache(maxsize=32)
-def _test(setup: CameraSetup) -> tuple[Camera, ...]:
+def _test(setup: CameraSetup) -> tuple[SceneCamera, ...]:
     if not setup.test_views:
         return ()
     if setup.kind == "flat":
@@ -230,7 +232,7 @@ _SHORTEST_PAUSE, _LONGEST_PAUSE = 2.0, 10.0  # seconds between clips: the camera
 _DIGITS = 6  # of a second
 
 
-def scene_time(setup: CameraSetup, camera: Camera, timestep: int) -> float | None:
+def scene_time(setup: CameraSetup, camera: SceneCamera, timestep: int) -> float | None:
     """Return the scene time in seconds of a training picture, or None if the scene is at rest.
 
     The scene's clock is the one that the exact motion and the test views go by, and it is camera 0's: a time that all
@@ -242,7 +244,7 @@ def scene_time(setup: CameraSetup, camera: Camera, timestep: int) -> float | Non
     return timestep / setup.fps + clock_offsets(setup)[camera.index]
 
 
-def films(setup: CameraSetup, camera: Camera) -> bool:
+def films(setup: CameraSetup, camera: SceneCamera) -> bool:
     """Return whether a training camera records over time; sweep pictures show the scene before it moves."""
     return setup.kind != "sweep" or camera.index == 0
 

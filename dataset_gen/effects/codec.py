@@ -18,7 +18,7 @@ from tg4mm.core.pictures import png
 from tg4mm.core.progress import progress
 
 from .. import tree
-from ..cameras import Camera, cameras_at, films
+from ..cameras import SceneCamera, cameras_at, films
 from ..errors import GenerateError
 from ..pictures import to_integers
 from ..plan import UNCODED, picture_path
@@ -141,26 +141,26 @@ def clean(root: Path, settings: Settings) -> None:
             tree.link(picture, [root / VIDEOS / _SWEEP / picture.name])
 
 
-def _cameras(settings: Settings) -> Iterator[Camera]:
+def _cameras(settings: Settings) -> Iterator[SceneCamera]:
     for camera in cameras_at(settings.cameras, 0)["train"] if settings.effects.coded else ():
         if films(settings.cameras, camera):
             yield camera
 
 
-def _names(settings: Settings, camera: Camera) -> list[str]:
+def _names(settings: Settings, camera: SceneCamera) -> list[str]:
     return [picture_path(settings, t, camera) for t in range(settings.timesteps)]
 
 
-def _finished(root: Path, settings: Settings, camera: Camera) -> bool:
+def _finished(root: Path, settings: Settings, camera: SceneCamera) -> bool:
     kept = not settings.effects.keep_video or _video(root, camera).is_file()
     return kept and all(tree.complete(root, name, settings) for name in _names(settings, camera))
 
 
-def _rendered(root: Path, settings: Settings, camera: Camera) -> bool:
+def _rendered(root: Path, settings: Settings, camera: SceneCamera) -> bool:
     return all((root / UNCODED / name).is_file() for name in _names(settings, camera))
 
 
-def _video(root: Path, camera: Camera) -> Path:
+def _video(root: Path, camera: SceneCamera) -> Path:
     return root / VIDEOS / f"{camera.name}.mp4"
 
 
@@ -171,7 +171,7 @@ def _read(path: Path) -> np.ndarray:
     return decode(path)[..., :3]
 
 
-def _code(root: Path, settings: Settings, camera: Camera) -> None:
+def _code(root: Path, settings: Settings, camera: SceneCamera) -> None:
     names = _names(settings, camera)
     pictures = (_read(root / UNCODED / name) for name in names)
     video = _video(root, camera) if settings.effects.keep_video else root / UNCODED / f"{camera.name}.mp4"

@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..cameras import Camera, CameraSetup, cameras_at, clock_offsets, films
+from ..cameras import CameraSetup, SceneCamera, cameras_at, clock_offsets, films
 from ..cameras.paths import Tremor, rotation_matrix
 from .options import Effects
 
@@ -52,14 +52,14 @@ def fine_size(size: int, margin: int) -> int:
     return FINENESS * (size + 2 * margin)
 
 
-def fine_camera(camera: Camera, size: int, margin: int) -> Camera:
+def fine_camera(camera: SceneCamera, size: int, margin: int) -> SceneCamera:
     """The camera whose picture has a margin all around; same pose, same focal length per pixel."""
     wider = (size + 2 * margin) / size
     angle = 2.0 * math.atan(math.tan(0.5 * camera.angle_x) * wider)
     return replace(camera, angle_x=angle, shift=(camera.shift[0] / wider, camera.shift[1] / wider))
 
 
-def pixels_before(camera: Camera, size: int, vector: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+def pixels_before(camera: SceneCamera, size: int, vector: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Map `pixels` [..., 2] of a camera turned by a rotation vector [3] to pixels of the unturned camera.
 
     The vector is in camera axes (x right, y up, z back), radians; pixel centres lie at +0.5.
@@ -70,7 +70,7 @@ def pixels_before(camera: Camera, size: int, vector: np.ndarray, pixels: np.ndar
     return centre + focal * np.stack([rays[..., 0], -rays[..., 1]], -1) / -rays[..., 2:]
 
 
-def frame(fine: np.ndarray, camera: Camera, size: int, margin: int, vector: np.ndarray) -> np.ndarray:
+def frame(fine: np.ndarray, camera: SceneCamera, size: int, margin: int, vector: np.ndarray) -> np.ndarray:
     """The picture [size, size, 4] of the camera turned by `vector` [3], from the fine one of `fine_camera`.
 
     Linear light, premultiplied, float32, as `fine` [F, F, 4] is. Raises ValueError if the margin is too small.
@@ -107,7 +107,7 @@ _KERNEL = 3  # pixels that the interpolation reaches beyond the picture
 
 
 @dataclass(frozen=True)
-class Record:
+class RecordingEffects:
     """The training pictures of the cameras that film; each camera has a shake and a drift of its own.
 
     `size`: edge of the square pictures, pixels.
@@ -120,23 +120,23 @@ class Record:
     _turns: dict[int, np.ndarray] = field(default_factory=dict, repr=False, compare=False)
     _gains: dict[int, np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
-    def shakes(self, split: str, camera: Camera) -> bool:
+    def shakes(self, split: str, camera: SceneCamera) -> bool:
         """Return whether this camera's pose is disturbed."""
         return self.effects.shake_px > 0 and split == "train" and films(self.setup, camera)
 
-    def turn(self, camera: Camera, timestep: int) -> np.ndarray:
+    def turn(self, camera: SceneCamera, timestep: int) -> np.ndarray:
         """Rotation vector [3] of a camera that shakes, radians, camera axes."""
         return np.asarray(self._all_turns(camera)[timestep])
 
-    def true_camera(self, split: str, camera: Camera, timestep: int) -> Camera:
+    def true_camera(self, split: str, camera: SceneCamera, timestep: int) -> SceneCamera:
         """The camera as it really stood; the pose file says how it was meant to stand."""
         return turned(camera, self.turn(camera, timestep)) if self.shakes(split, camera) else camera
 
-    def margin(self, camera: Camera) -> int:
+    def margin(self, camera: SceneCamera) -> int:
         """Pixels that a rendering of a camera that shakes needs around the picture."""
         return math.ceil(largest_shift(camera, self.size, self._all_turns(camera))) + _KERNEL
 
-    def gain(self, split: str, camera: Camera, timestep: int) -> np.ndarray | None:
+    def gain(self, split: str, camera: SceneCamera, timestep: int) -> np.ndarray | None:
         """Factors [3] on red, green and blue in linear light; None: 1."""
         if not (self.effects.gain and split == "train" and films(self.setup, camera)):
             return None
@@ -144,7 +144,7 @@ class Record:
             self._gains[camera.index] = self._all_gains(camera)
         return np.asarray(self._gains[camera.index][timestep])
 
-    def row_gains(self, split: str, camera: Camera, timestep: int) -> np.ndarray | None:
+    def row_gains(self, split: str, camera: SceneCamera, timestep: int) -> np.ndarray | None:
         """The same of every row where rows are read in turn and the light flickers: [size, 1, 3]."""
         gain, effects = self.gain(split, camera, timestep), self.effects
         if gain is None or not (effects.flicker and effects.readout_ms):
@@ -159,14 +159,14 @@ class Record:
     def _lamp_phase(self) -> float:
         return float(np.random.default_rng([self.seed, 0xF11C]).uniform(0.0, 2 * np.pi))
 
-    def _all_turns(self, camera: Camera) -> np.ndarray:
+    def _all_turns(self, camera: SceneCamera) -> np.ndarray:
         if camera.index not in self._turns:
             first = next(c for c in cameras_at(self.setup, 0)["train"] if c.index == camera.index)
             n, fps = self.setup.n_timesteps, self.setup.fps
             self._turns[camera.index] = turns(first, self.size, self.effects.shake_px, n, fps, self.seed)
         return self._turns[camera.index]
 
-    def _all_gains(self, camera: Camera) -> np.ndarray:
+    def _all_gains(self, camera: SceneCamera) -> np.ndarray:
         effects, n, fps = self.effects, self.setup.n_timesteps, self.setup.fps
         gains = np.ones((n, 3))
         if effects.exposure_drift:
@@ -218,7 +218,9 @@ BAND_HZ = (1.0, 10.0)  # of hands and floors
 _GRID = 16  # places per side of the picture at which shifts are measured
 
 
-def turns(camera: Camera, size: int, shake_px: float, n_timesteps: int, fps: float, seed: int) -> np.ndarray:
+def turns(
+    camera: SceneCamera, size: int, shake_px: float, n_timesteps: int, fps: float, seed: int
+) -> np.ndarray:
     """Rotation vectors [T, 3], radians, camera axes (x right, y up, z back), of mean 0 over the record.
 
     The rms over the record and the picture of the shift that they cause is `shake_px`, for a picture `size` wide.
@@ -233,19 +235,19 @@ def turns(camera: Camera, size: int, shake_px: float, n_timesteps: int, fps: flo
     return np.asarray(shake_px / rms * vectors)
 
 
-def largest_shift(camera: Camera, size: int, vectors: np.ndarray) -> float:
+def largest_shift(camera: SceneCamera, size: int, vectors: np.ndarray) -> float:
     """Return the largest shift anywhere in the picture, in pixels."""
     return max(float(np.linalg.norm(_shift(camera, size, vector), axis=-1).max()) for vector in vectors)
 
 
-def turned(camera: Camera, vector: np.ndarray) -> Camera:
+def turned(camera: SceneCamera, vector: np.ndarray) -> SceneCamera:
     """The camera turned about its own centre by a rotation vector [3] in its own axes."""
     pose = camera.camera_to_world.copy()
     pose[:3, :3] = pose[:3, :3] @ rotation_matrix(vector)
     return replace(camera, camera_to_world=pose)
 
 
-def _shift(camera: Camera, size: int, vector: np.ndarray) -> np.ndarray:
+def _shift(camera: SceneCamera, size: int, vector: np.ndarray) -> np.ndarray:
     """[G, 2] pixels, over a grid of the picture up to its edges."""
     edge = np.linspace(0.0, size, _GRID)
     places = np.stack(np.meshgrid(edge, edge), -1).reshape(-1, 2)

@@ -27,7 +27,7 @@ MODULE = "dataset_gen"
 
 
 @dataclass(frozen=True)
-class Commands:
+class FarmCommands:
     """Argument lists; the first element is the program."""
 
     prepare: tuple[str, ...]
@@ -42,7 +42,7 @@ class FarmSet:
     name: str  # in the configuration
     folder: str  # below `out`
     parts: int
-    commands: Commands
+    commands: FarmCommands
 
     def to_json(self) -> dict[str, Any]:
         """Commands as lines for a shell, those of the parts from 1."""
@@ -120,7 +120,7 @@ def _farm_set(name: str, own: Any, values: Mapping[str, Any]) -> FarmSet:
     return FarmSet(name, request.sets[0].folder, parts, made)
 
 
-def commands(python: str, arguments: Sequence[str], out: str, parts: int, processes: int = 0) -> Commands:
+def commands(python: str, arguments: Sequence[str], out: str, parts: int, processes: int = 0) -> FarmCommands:
     """Commands of the set that `python -m dataset_gen ARGUMENTS --out OUT` makes in one go, in `parts` parts.
 
     `processes`: render processes at once in each part, 0 for one per core of its machine.
@@ -131,7 +131,7 @@ def commands(python: str, arguments: Sequence[str], out: str, parts: int, proces
         raise ValueError(f"processes {processes} is below 0")
     base = (python, "-m", MODULE, *arguments, "--out", out)
     work = ("--processes", str(processes))
-    return Commands(
+    return FarmCommands(
         prepare=(*base, "--prepare", "--parts", str(parts)),
         parts=tuple((*base, "--part", f"{i}/{parts}", *work) for i in range(1, parts + 1)),
         finish=(*base, "--finish"),

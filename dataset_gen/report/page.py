@@ -28,7 +28,7 @@ _MOST_TIMES = 30  # timesteps projected
 
 
 @dataclass(frozen=True)
-class Mode:
+class ModeSummary:
     """One mode of truth/motion.npz."""
 
     name: str
@@ -59,7 +59,7 @@ class Findings:
     strength: (
         np.ndarray
     )  # [T] largest displacement of any vertex, scene units; empty without truth/motion.npz
-    modes: tuple[Mode, ...]
+    modes: tuple[ModeSummary, ...]
     views: tuple[ViewMotion, ...]  # test cameras, or training cameras without any
 
     @property
@@ -148,7 +148,7 @@ def _strength(truth: Truth, n_timesteps: int) -> np.ndarray:
     )
 
 
-def _modes(truth: Truth, capture: Capture) -> Iterable[Mode]:
+def _modes(truth: Truth, capture: Capture) -> Iterable[ModeSummary]:
     described = capture.scene.get("modes") or []
     for k, frequency in enumerate(truth.freqs_hz):
         gain = float(np.abs(_gains(truth)[k]).max(initial=0.0))
@@ -158,7 +158,9 @@ def _modes(truth: Truth, capture: Capture) -> Iterable[Mode]:
         own = described[k] if k < len(described) and isinstance(described[k], dict) else {}
         name = str(own.get("name") or own.get("kind") or f"mode {k + 1}")
         alpha = truth.magnified is None or bool(truth.magnified[k])
-        yield Mode(name, float(frequency), top, alpha, tuple(p for p in peaks if top and p[1] > 1e-6 * top))
+        yield ModeSummary(
+            name, float(frequency), top, alpha, tuple(p for p in peaks if top and p[1] > 1e-6 * top)
+        )
 
 
 def _motions(truth: Truth, capture: Capture, amplitude: float) -> Iterable[ViewMotion]:
@@ -322,13 +324,13 @@ def _motion(f: Findings) -> Iterable[Block]:
         yield Table(["camera", "max", "95 %", "median"], rows, caption)
 
 
-def _parts(mode: Mode) -> str:
+def _parts(mode: ModeSummary) -> str:
     shown = [f"{name} ({100 * size / mode.amplitude:.0f} %)" for name, size in mode.parts[:_MOST_PARTS]]
     more = len(mode.parts) - len(shown)
     return (", ".join(shown) or "nothing") + (f" and {more} more" if more else "")
 
 
-def _between_bins(f: Findings, mode: Mode) -> bool:
+def _between_bins(f: Findings, mode: ModeSummary) -> bool:
     cycles = mode.frequency_hz * f.any.n_timesteps / f.any.fps
     return abs(cycles - round(cycles)) > 1e-6
 

@@ -9,10 +9,10 @@ import numpy as np
 from mathutils import Matrix
 
 from ..build import Stage, stage_of, trees
-from ..cameras import Camera
+from ..cameras import SceneCamera
 from ..errors import GenerateError
 from ..vibration.fields import Body
-from .bodies_file import Found
+from .bodies_file import FileContents
 from .copies import MaterialCopies, brighten, glows
 from .gather import Gathered, Lamp, rest_positions
 from .images import Anchors, list_names
@@ -25,7 +25,7 @@ Lighting = Callable[[bpy.types.Scene, bpy.types.Scene, bool, list[str]], None]
 
 
 @dataclass(frozen=True)
-class Loaded(Found):
+class LoadedScene(FileContents):
     """A user's scene, at rest, in the Blender session of this process."""
 
     stage: Stage  # its `objects` and `rest` go with `bodies`, one to one
@@ -38,14 +38,14 @@ class Origin:
     path: Path
     unit_scale_m: float | None  # metres per scene unit
     own_unit: tuple[str, float]  # of the file: its name, and how many of it a scene unit is
-    cameras: tuple[Camera, ...] = ()
+    cameras: tuple[SceneCamera, ...] = ()
     camera_names: tuple[str, ...] = ()
     exposure: float = 1.0  # factor on all light
 
 
 def assemble(
     found: Gathered, old: bpy.types.Scene, origin: Origin, light: Lighting, warnings: Sequence[str]
-) -> Loaded:
+) -> LoadedScene:
     """Builds the stage and empties the session of all else. Raises GenerateError if nothing is to be seen."""
     notes = list(warnings)
     notes += [f"left out, {kind}: {list_names(names)}" for kind, names in sorted(found.left_out.items())]
@@ -75,7 +75,7 @@ def assemble(
     stage = stage_of(scene, tuple(objects.values()), tuple(body.vertices for body in bodies))
     stage.camera.data.clip_end = max(100.0, 100.0 * radius)
     stage.camera.data.clip_start = min(0.01, 0.002 * radius)
-    return Loaded(
+    return LoadedScene(
         bodies, origin.unit_scale_m, origin.own_unit, origin.cameras, origin.camera_names, tuple(notes), centre, radius,
         stage,
     )  # fmt: skip

@@ -8,11 +8,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..cameras import Camera, scene_cameras
+from ..cameras import SceneCamera, scene_cameras
 from ..compat import is_5
 from ..errors import GenerateError
 from . import bodies_file
-from .assemble import Loaded, Origin, assemble
+from .assemble import LoadedScene, Origin, assemble
 from .copies import own_world
 from .gather import gather
 from .images import find_images, list_names
@@ -20,7 +20,7 @@ from .images import find_images, list_names
 _NEUTRAL_VIEWS = ("Standard", "Raw", "Default")  # "Default": sRGB of files before 2.80
 
 
-def open_blend(path: Path, *, frame: int | None = None, scene: str | None = None) -> Loaded:
+def open_blend(path: Path, *, frame: int | None = None, scene: str | None = None) -> LoadedScene:
     """Takes over this process's Blender session with a .blend file.
 
     Every surface that would render becomes a plain mesh in world space, as evaluated with its modifiers at
@@ -94,7 +94,9 @@ def _silent_drivers() -> list[str]:
     return [f"scripted drivers of {list_names(silent)} do not run: values are as saved"] if silent else []
 
 
-def file_cameras(scene: bpy.types.Scene, warnings: list[str]) -> tuple[tuple[str, ...], tuple[Camera, ...]]:
+def file_cameras(
+    scene: bpy.types.Scene, warnings: list[str]
+) -> tuple[tuple[str, ...], tuple[SceneCamera, ...]]:
     """Names and views of the perspective cameras of the scene, the active one first."""
     objects = sorted(
         (obj for obj in scene.objects if obj.type == "CAMERA"),

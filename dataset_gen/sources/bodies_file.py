@@ -13,7 +13,7 @@ import numpy as np
 from tg4mm.core.untrusted import parse_json, read_npz
 
 from .. import tree
-from ..cameras import Camera
+from ..cameras import SceneCamera
 from ..errors import GenerateError
 from ..vibration.fields import Body
 
@@ -22,20 +22,20 @@ _PLAIN = ("unit_scale_m", "own_unit", "camera_names", "warnings", "centre", "rad
 
 
 @dataclass(frozen=True)
-class Found:
+class FileContents:
     """The contents of a user's file, without Blender's handles."""
 
     bodies: tuple[Body, ...]
     unit_scale_m: float | None  # metres per scene unit, None where the file does not say
     own_unit: tuple[str, float]  # of the file: its name, and how many of it a scene unit is
-    cameras: tuple[Camera, ...]  # of the file, the active one first
+    cameras: tuple[SceneCamera, ...]  # of the file, the active one first
     camera_names: tuple[str, ...]  # one for each of `cameras`
     warnings: tuple[str, ...]  # one line each: what was left out or replaced
     centre: tuple[float, float, float]  # of the sphere around what is to be looked at, scene units
     radius: float  # of that sphere, scene units
 
 
-def save(path: Path, found: Found) -> None:
+def save(path: Path, found: FileContents) -> None:
     """Writes the file, complete or not at all."""
     arrays: dict[str, np.ndarray] = {}
     for i, body in enumerate(found.bodies):
@@ -50,7 +50,7 @@ def save(path: Path, found: Found) -> None:
         np.savez(temporary, head=np.frombuffer(json.dumps(head).encode(), np.uint8), **arrays)
 
 
-def load(path: Path) -> Found:
+def load(path: Path) -> FileContents:
     """Reads what `save` wrote. Raises GenerateError, one line, for any other file."""
     try:
         data = read_npz(path)
@@ -60,9 +60,9 @@ def load(path: Path) -> Found:
         bodies = tuple(_body(data, i, entry) for i, entry in enumerate(head["bodies"]))
         x, y, z = head["centre"]
         unit, factor = head["own_unit"]
-        return Found(
+        return FileContents(
             bodies, head["unit_scale_m"], (str(unit), float(factor)),
-            tuple(Camera.from_json(camera) for camera in head["cameras"]), tuple(head["camera_names"]),
+            tuple(SceneCamera.from_json(camera) for camera in head["cameras"]), tuple(head["camera_names"]),
             tuple(head["warnings"]), (x, y, z), head["radius"],
         )  # fmt: skip
     except GenerateError:

@@ -114,7 +114,7 @@ _LEFT_OUT = ("VOLUME", "GREASEPENCIL", "GPENCIL", "POINTCLOUD")  # kinds that ha
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class SharedMesh:
     """A mesh in its own coordinates, shared by all pieces that show it."""
 
     mesh: bpy.types.Mesh  # evaluated, owned by nobody
@@ -127,7 +127,7 @@ class Piece:
     """One appearance of a shape in the scene."""
 
     name: str  # of the object, or "instancer/object"; pieces of one name become one part
-    shape: Shape
+    shape: SharedMesh
     matrix: np.ndarray  # [4, 4] float64, local to world; may be mirrored or flattened
     source: bpy.types.Object  # the original
     random: float  # what a material reads as Object Info, Random
@@ -151,7 +151,7 @@ class Gathered:
     lamps: list[Lamp] = field(default_factory=list)
     left_out: dict[str, set[str]] = field(default_factory=dict)  # kind → names
     error: BaseException | None = None
-    _shapes: dict[tuple[Any, ...], Shape | None] = field(default_factory=dict)
+    _shapes: dict[tuple[Any, ...], SharedMesh | None] = field(default_factory=dict)
     _known: set[tuple[Any, ...]] = field(default_factory=set)
 
     def leave_out(self, kind: str, name: str) -> None:
@@ -261,7 +261,7 @@ def _name(original: bpy.types.Object, parent: bpy.types.Object | None) -> str:
 
 def _shapes_of(
     found: Gathered, instance: bpy.types.DepsgraphObjectInstance, depsgraph: bpy.types.Depsgraph
-) -> Iterator[tuple[Shape, str]]:
+) -> Iterator[tuple[SharedMesh, str]]:
     obj = instance.object
     if obj.type not in ("MESH", "CURVES"):
         return
@@ -275,10 +275,10 @@ def _shapes_of(
         for name, mesh, slot in particle_hair(obj):
             materials = _materials(obj, depsgraph)
             used = materials[slot : slot + 1] or (None,)
-            yield Shape(mesh, used, rest_positions(mesh)), f"/{name}"
+            yield SharedMesh(mesh, used, rest_positions(mesh)), f"/{name}"
 
 
-def _shape(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Shape | None:
+def _shape(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> SharedMesh | None:
     if obj.type == "CURVES":
         mesh = curves_mesh(obj.data)
         generated = None if mesh is None else rest_positions(mesh)
@@ -292,7 +292,7 @@ def _shape(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Shape | Non
         generated = _generated(obj.data)
     if mesh is None or generated is None:
         return None
-    return Shape(mesh, _materials(obj, depsgraph), generated)
+    return SharedMesh(mesh, _materials(obj, depsgraph), generated)
 
 
 def _is_own(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:

@@ -15,7 +15,7 @@ from ..build import world as made_world
 from ..cameras import scene_cameras
 from ..errors import GenerateError
 from ..scene import Gradient
-from .assemble import Loaded, Origin, assemble
+from .assemble import LoadedScene, Origin, assemble
 from .blend import file_cameras
 from .gather import Gathered, Piece, gather, rest_positions
 from .images import find_images
@@ -46,7 +46,7 @@ _OLD_FBX = _Format("import_scene.fbx", "io_scene_fbx")
 _SHOWS_DETAIL = ("ShaderNodeTex", "ShaderNodeAttribute", "ShaderNodeVertexColor")
 
 
-def open_mesh(path: Path) -> Loaded:
+def open_mesh(path: Path) -> LoadedScene:
     """Takes over this process's Blender session with a mesh file, through Blender's own importer.
 
     The object is centred and scaled so that a sphere of radius 1.2 around its bounding box's centre just holds

@@ -3,9 +3,21 @@
 from .describe import MotionDescription, read_motion
 from .fields import Body, Field, Mode
 from .motion import Motion, State, pixel_displacement, reach, solve
-from .values import SINE, Ramp, TimeLaw, Vibration
+from .values import SINE, DampedSinusoid, Ramp, TimeLaw
 
 __all__ = [
-    "SINE", "Body", "Field", "Mode", "Motion", "MotionDescription", "Ramp", "State", "TimeLaw", "Vibration",
-    "pixel_displacement", "reach", "read_motion", "solve",
+    "SINE",
+    "Body",
+    "DampedSinusoid",
+    "Field",
+    "Mode",
+    "Motion",
+    "MotionDescription",
+    "Ramp",
+    "State",
+    "TimeLaw",
+    "pixel_displacement",
+    "reach",
+    "read_motion",
+    "solve",
 ]  # fmt: skip

@@ -12,7 +12,7 @@ from ..errors import GenerateError
 from . import values
 from .fields import RANDOM, Drift, Field, Group, Jiggle, Mode, Rock, Translate, Twist
 from .structures import Bending, Membrane, Plate, Wave
-from .values import Ramp, Vibration
+from .values import DampedSinusoid, Ramp
 
 _ALWAYS = ("name", "kind", "parts", "magnified")
 _VIBRATES = ("frequency", "amplitude", "amplitude_px", "phase", "phases", "decay")
@@ -121,8 +121,8 @@ def _option(option: str, value: float | None) -> float | None:
         raise GenerateError(f"{option} {error}") from None
 
 
-def _vibration(mode: Mode) -> Vibration:
-    assert isinstance(mode.law, Vibration)  # a description's first mode is, and what has its frequency
+def _vibration(mode: Mode) -> DampedSinusoid:
+    assert isinstance(mode.law, DampedSinusoid)  # a description's first mode is, and what has its frequency
     return mode.law
 
 
@@ -153,7 +153,7 @@ def _mode(data: Any) -> Mode:
     _check_keys(data, (*common, *keys(kind)), f"a mode of kind {kind}")
     mode = Mode(
         name=name, field=read_field(kind, data),
-        law=Ramp() if drifts else Vibration(_needed(data, "frequency"), _read(data, "decay", values.positive)),
+        law=Ramp() if drifts else DampedSinusoid(_needed(data, "frequency"), _read(data, "decay", values.positive)),
         parts=_read(data, "parts", values.texts) or (),
         magnified=_read(data, "magnified", values.truth_value, True),
     )  # fmt: skip
@@ -198,7 +198,7 @@ def _phases(value: Any) -> tuple[tuple[str, float], ...] | str:
 
 def _mode_data(mode: Mode) -> dict[str, Any]:
     data: dict[str, Any] = {"name": mode.name, "kind": mode.kind}
-    if isinstance(mode.law, Vibration):
+    if isinstance(mode.law, DampedSinusoid):
         data |= {"frequency": mode.law.frequency_hz, "decay": mode.law.decay_s}
         data |= {"amplitude": mode.amplitude, "amplitude_px": mode.amplitude_px, "phase": mode.phase}
         data |= {"phases": mode.phases if isinstance(mode.phases, str) else dict(mode.phases) or None}

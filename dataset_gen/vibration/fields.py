@@ -14,6 +14,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from .values import (
+    DampedSinusoid,
     Direction,
     MaybePositive,
     Point,
@@ -21,7 +22,6 @@ from .values import (
     Text,
     TimeLaw,
     Triple,
-    Vibration,
     direction,
     number,
     vector,
@@ -275,7 +275,7 @@ class Mode:
     @property
     def steady(self) -> bool:
         """Return whether the motion is stationary, the same in every period."""
-        return isinstance(self.law, Vibration) and self.law.decay_s is None
+        return isinstance(self.law, DampedSinusoid) and self.law.decay_s is None
 
     def moves(self, part: str) -> bool:
         """Return whether a part moves in the mode."""

@@ -201,7 +201,7 @@ _MIX = 1.0 - 0.5 * _XI
 
 
 @dataclass(frozen=True)
-class Region:
+class BallRegion:
     """A ball in which a field acts: fully within half its radius, fading smoothly to 0 at its radius."""
 
     centre: Triple
@@ -212,10 +212,10 @@ class Region:
         return fade(distance, 0.5 * self.radius, self.radius)
 
 
-def _region(value: Any) -> Region:
+def _region(value: Any) -> BallRegion:
     if not isinstance(value, dict) or set(value) != {"centre", "radius"}:
         raise ValueError(f"{shown(value)} is not of the form {{centre: [x, y, z], radius: r}}")
-    return Region(vector(value["centre"]), positive(value["radius"]))
+    return BallRegion(vector(value["centre"]), positive(value["radius"]))
 
 
 def _polarisation(value: Any) -> Triple | str:
@@ -240,7 +240,7 @@ class Wave(Field):
     polarisation: Annotated[Triple | str, _polarisation]
     decay_length: MaybePositive = None
     level: Real = 0.0
-    region: Annotated[Region | None, _region] = None
+    region: Annotated[BallRegion | None, _region] = None
 
     def __post_init__(self) -> None:
         if self.polarisation == "rayleigh" and abs(unit(self.direction)[2]) > 1e-6:

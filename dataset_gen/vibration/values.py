@@ -132,7 +132,7 @@ class TimeLaw(Protocol):
 
 
 @dataclass(frozen=True)
-class Vibration:
+class DampedSinusoid:
     """A sinusoid, ringing down by 1/e every `decay_s` seconds if that is given."""
 
     frequency_hz: float

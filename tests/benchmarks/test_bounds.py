@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.bounds import Subject, _noise, basis_fields, bound_of
+from benchmarks.bounds import BoundedRun, _noise, basis_fields, bound_of
 from tests.fit.motion.scenes import gaussians_of, view_of
 from tests.fit.rasterize.oracle import make_scene
 from tg4mm.fit.gaussians import rotation_matrices
@@ -54,7 +54,7 @@ def test_least_squares_in_a_basis_meets_its_bound(scene):
         np.zeros(0), np.zeros((0, N, 3), np.complex64), np.zeros((0, N, 3), np.complex64), 30, 12
     )
     variances = np.full((CAMERAS, *shape), sd**2, np.float32)
-    subject = Subject(gaussians, np.ones(N), nothing, views, true, variances)
+    subject = BoundedRun(gaussians, np.ones(N), nothing, views, true, variances)
     noise, bound = bound_of(subject, POINTS, is_affine=False)
     jacobian = np.concatenate([v.jvp(basis).reshape(len(basis), -1) for v in views], 1).astype(float)
     errors = []

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.__main__ import scored
-from benchmarks.calibration.draw import TrueVibration, Truth, make_film, read_truth
-from benchmarks.calibration.film import Layer, Mode, texture
+from benchmarks.calibration.draw import FilmTruth, TrueVibration, make_film, read_truth
+from benchmarks.calibration.film import FilmMode, Layer, texture
 from benchmarks.calibration.score import Named, score, smallest_found, table
 from benchmarks.calibration.special import make_large_film, make_plain_film
 
-TRUTH = Truth(320, 180, 30, 300, 3.0, "libx264", 1.0)
+TRUTH = FilmTruth(320, 180, 30, 300, 3.0, "libx264", 1.0)
 
 
 def truth(*vibrations):
-    return Truth(**{**TRUTH.__dict__, "vibrations": list(vibrations)})
+    return FilmTruth(**{**TRUTH.__dict__, "vibrations": list(vibrations)})
 
 
 def steady(hz, size):
@@ -26,7 +26,7 @@ def test_a_layer_moved_by_a_whole_pixel_in_steps_is_the_layer_shifted():
     still = Layer(cloth, None, [], 0.6)
     shape = np.broadcast_to([1.0, 0.0], (48, 48, 2))
     fine_right = Layer(np.roll(cloth, 1, axis=1), None, [], 0.6).rest[0]  # by a third of a pixel
-    moved = Layer(cloth, None, [Mode(shape, lambda t: 1 / 3)], 0.6).drawn(0.0, np.zeros(2))[0]
+    moved = Layer(cloth, None, [FilmMode(shape, lambda t: 1 / 3)], 0.6).drawn(0.0, np.zeros(2))[0]
     inside = (slice(10, 38), slice(10, 38))
     assert np.abs(moved - fine_right)[inside].max() < 2e-3 * still.rest[0][inside].std()
 

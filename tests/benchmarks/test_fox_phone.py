@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from benchmarks.__main__ import main
-from benchmarks.fox_phone import Similarity, Truth, comparison, scored, similarity
+from benchmarks.fox_phone import FoxTruth, WorldAlignment, comparison, scored, similarity
 from tg4mm.core.files import write_json
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import ModalMotion
@@ -39,7 +39,7 @@ def carried(c2w, world):
 @pytest.fixture
 def world():
     rng = np.random.default_rng(3)
-    return Similarity(1.7, rotation(rng), rng.normal(size=3))
+    return WorldAlignment(1.7, rotation(rng), rng.normal(size=3))
 
 
 def moving_patch():
@@ -102,7 +102,7 @@ def write_truth(folder):
         "clips": {"cams": [0, 1, 2], "phases": [0.0, 1.0, 2.0]}, "hand": poses(rng, T).tolist(),
     }  # fmt: skip
     (folder / "truth.json").write_text(json.dumps(values))
-    return Truth.load(folder)
+    return FoxTruth.load(folder)
 
 
 def write_tripod(folder, truth, world):

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tg4mm.capture.cameras import read_intrinsics, read_pose, world_to_camera
-from tg4mm.core.untrusted import Record
+from tg4mm.core.untrusted import JsonRecord
 
 quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 0.1)
 offsets = st.tuples(*[st.floats(-10, 10)] * 3)
@@ -37,7 +37,7 @@ def pose_of(q, origin):
 
 
 def intrinsics(angle_x, width, height):
-    return read_intrinsics(Record("f", {}), Record("f", {"camera_angle_x": angle_x}), width, height)
+    return read_intrinsics(JsonRecord("f", {}), JsonRecord("f", {"camera_angle_x": angle_x}), width, height)
 
 
 def project(viewmat, K, point):
@@ -63,7 +63,7 @@ def test_a_point_lands_where_the_convention_on_disk_says(q, origin, angle_x, rig
 def test_a_pose_written_with_few_decimals_is_read_as_the_nearest_rigid_one(q, origin, decimals):
     c2w = pose_of(q, origin)
     written = np.round(c2w, decimals + 1)
-    read = read_pose(Record("f", {"transform_matrix": written.tolist()}))
+    read = read_pose(JsonRecord("f", {"transform_matrix": written.tolist()}))
     np.testing.assert_allclose(read[:3, :3].T @ read[:3, :3], np.eye(3), atol=1e-14)
     np.testing.assert_allclose(read[:3, :3], c2w[:3, :3], atol=2 * 10.0**-decimals)
     np.testing.assert_array_equal(read[:3, 3], written[:3, 3])
@@ -105,7 +105,7 @@ def test_blender_sees_the_point_at_the_same_pixel():
     cases = json.loads(done.stdout.partition("RESULT")[2].splitlines()[0])
     assert len(cases) == 20
     for case in cases:
-        viewmat = world_to_camera(read_pose(Record("blender", case)))
+        viewmat = world_to_camera(read_pose(JsonRecord("blender", case)))
         pixel, depth = project(viewmat, intrinsics(case["camera_angle_x"], 64, 48), np.array(case["point"]))
         np.testing.assert_allclose(pixel, case["pixel"], atol=1e-3)
         np.testing.assert_allclose(depth, case["depth"], atol=1e-4)

@@ -11,7 +11,7 @@ from benchmarks.calibration.duplicates import duplicates_outcome, found_in
 from tests.capture.sfm.videos import encoded, looked, still, texture, write_video
 from tg4mm.capture.duplicates import DuplicateMeter
 from tg4mm.capture.look import look
-from tg4mm.capture.sfm.clip import Clip, Window
+from tg4mm.capture.sfm.clip import Clip, TimeWindow
 from tg4mm.capture.sfm.defects import stretches_of, warn_clocks
 from tg4mm.capture.sfm.steadiness import NoveltyMeter
 from tg4mm.capture.sfm.survey import survey_clip
@@ -145,7 +145,7 @@ def test_the_option_keeps_duplicates_everywhere(tmp_path, capsys):
     assert len(look(path).times_s) == 120
     assert len(look(path, keep_duplicates=True).times_s) == 150
     clip = Clip("a", path)
-    assert len(survey_clip(clip, tmp_path / "all", Window(), keep_duplicates=True)) == 150
+    assert len(survey_clip(clip, tmp_path / "all", TimeWindow(), keep_duplicates=True)) == 150
     assert main(["look", str(path), "--png", str(tmp_path / "a.png")]) == 0
     assert "30 duplicate frames: they are left out" in capsys.readouterr().out
     assert main(["look", str(path), "--keep-duplicates", "--png", str(tmp_path / "a.png")]) == 0

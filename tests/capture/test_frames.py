@@ -14,7 +14,7 @@ from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.convert import write_nerfstudio
 from tg4mm.capture.frames import each_picture
 from tg4mm.capture.pictures import FilePictures
-from tg4mm.capture.sfm.clip import Clip, Window
+from tg4mm.capture.sfm.clip import Clip, TimeWindow
 from tg4mm.capture.sfm.dataset import Track, video_frames_of
 from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.capture.sfm.undistort import Lens
@@ -63,7 +63,7 @@ def test_a_window_and_its_repeats_count_from_the_first_frame(video, tmp_path):
     clip = Clip("a", video).without([4, 9])
     numbers = [k for k in range(15, T) if k not in (19, 24)]
     poses = np.tile(np.eye(4), (len(numbers), 1, 1))
-    track = Track("a", clip, Lens(np.eye(3), (120, 160), None), poses, window=Window(0.5))
+    track = Track("a", clip, Lens(np.eye(3), (120, 160), None), poses, window=TimeWindow(0.5))
     assert video_frames_of(tmp_path, track) == [f"video/a#3.mp4#{k}" for k in numbers]
     # the container tells of others
     assert video_frames_of(tmp_path, replace(track, viewmats=poses[1:])) is None

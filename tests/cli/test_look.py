@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, write_video
+from benchmarks.calibration.film import Coding, Film, FilmMode, Layer, texture, write_video
 from tg4mm.capture.look.record import from_record
 from tg4mm.cli import main
 
@@ -19,7 +19,7 @@ def film(size_px):
     """A plate that moves to the right and down before a wall that is still."""
     rng = np.random.default_rng(3)
     shape = np.broadcast_to([0.8 * size_px, 0.6 * size_px], (HEIGHT, WIDTH, 2))
-    mode = Mode(shape, lambda t: float(np.cos(2 * np.pi * HZ * t)))
+    mode = FilmMode(shape, lambda t: float(np.cos(2 * np.pi * HZ * t)))
     wall, plate = (texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0)) for _ in range(2))
     return Film([Layer(wall, None, [], 0.6), Layer(plate, PLATE, [mode], 0.6)], FPS, FRAMES, 3.0, seed=3)
 

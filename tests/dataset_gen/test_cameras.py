@@ -11,8 +11,8 @@ from PIL import Image
 from dataset_gen import cameras as views
 from dataset_gen.cameras import (
     CAMERA_ANGLE_X,
-    Camera,
     CameraSetup,
+    SceneCamera,
     cameras_at,
     clock_offsets,
     look_at,
@@ -42,7 +42,7 @@ def test_known_positions_of_the_published_set():
 
 def test_intrinsics_stand_in_every_frame_and_at_the_top_where_all_agree():
     one, two = train_cameras(2)
-    other = Camera(1, two.camera_to_world, angle_x=0.8, shift=(0.01, -0.02))
+    other = SceneCamera(1, two.camera_to_world, angle_x=0.8, shift=(0.01, -0.02))
     data = transforms([one, other], "train", 0.0, 200, 100)
     assert (data["w"], data["h"]) == (200, 100)
     assert not {"fl_x", "fl_y", "cx", "cy"} & set(data)
@@ -55,7 +55,7 @@ def test_intrinsics_stand_in_every_frame_and_at_the_top_where_all_agree():
 
 def test_projection_is_that_of_the_conventions():
     """docs/conventions.md, by K and the world-to-camera matrix with OpenCV axes, which is another way."""
-    camera = Camera(0, train_cameras(7)[3].camera_to_world, angle_x=0.9, shift=(0.1, -0.05))
+    camera = SceneCamera(0, train_cameras(7)[3].camera_to_world, angle_x=0.9, shift=(0.1, -0.05))
     points = np.random.default_rng(1).uniform(-1, 1, (20, 3))
     view = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(camera.camera_to_world)
     (cx, cy), focal = camera.principal_point(64, 48), camera.focal(64)
@@ -79,12 +79,12 @@ SHEARED = np.eye(4) + np.array([[0, 0.2, 0, 0], [0] * 4, [0] * 4, [0] * 4])
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Camera(2, SHEARED), r"camera 2: its pose is not rigid, off by 0.2"),
-        (lambda: Camera(2, np.diag([-1.0, 1, 1, 1])), r"camera 2: its pose is not rigid"),
-        (lambda: Camera(2, np.full((4, 4), np.nan)), r"camera 2: its pose is not a finite 4×4 matrix"),
-        (lambda: Camera(2, np.eye(4), angle_x=3.1), r"field of view 177.617° is not in"),
-        (lambda: Camera(2, np.eye(4), angle_x=np.nan), r"field of view nan° is not in"),
-        (lambda: Camera(2, np.eye(4), shift=(np.inf, 0)), r"principal point is off by \(inf, 0\)"),
+        (lambda: SceneCamera(2, SHEARED), r"camera 2: its pose is not rigid, off by 0.2"),
+        (lambda: SceneCamera(2, np.diag([-1.0, 1, 1, 1])), r"camera 2: its pose is not rigid"),
+        (lambda: SceneCamera(2, np.full((4, 4), np.nan)), r"camera 2: its pose is not a finite 4×4 matrix"),
+        (lambda: SceneCamera(2, np.eye(4), angle_x=3.1), r"field of view 177.617° is not in"),
+        (lambda: SceneCamera(2, np.eye(4), angle_x=np.nan), r"field of view nan° is not in"),
+        (lambda: SceneCamera(2, np.eye(4), shift=(np.inf, 0)), r"principal point is off by \(inf, 0\)"),
         (lambda: scene_cameras([np.diag([1.0, 0, 1, 1])], [0.7]), r"camera 0: its pose is flattened"),
         (lambda: look_at(np.ones(3), np.ones(3)), r"cannot look at its own position"),
     ],
@@ -183,7 +183,7 @@ def test_tremor_is_band_limited_with_the_stated_size_and_a_falling_spectrum(fps)
 
 
 def test_cameras_of_a_users_scene_are_taken_as_they_are():
-    found = (Camera(4, train_cameras(3)[1].camera_to_world, angle_x=0.4), train_cameras(3)[2])
+    found = (SceneCamera(4, train_cameras(3)[1].camera_to_world, angle_x=0.4), train_cameras(3)[2])
     placed = CameraSetup("given", test_views=0).placed((0, 0, 0), 1.0, found)
     assert cameras_at(placed, 2)["train"] == (found[0].numbered(0), found[1].numbered(1))
     assert cameras_at(placed, 2)["test"] == ()

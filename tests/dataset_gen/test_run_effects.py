@@ -12,7 +12,7 @@ pytest.importorskip("bpy")
 pytest.importorskip("OpenEXR")
 
 from dataset_gen.cameras import cameras_at, clock_offsets
-from dataset_gen.effects import Record
+from dataset_gen.effects import RecordingEffects
 from dataset_gen.effects.codec import encode
 from dataset_gen.options import parser, request_from
 from dataset_gen.plan import UNCODED
@@ -147,7 +147,7 @@ def test_gains_are_in_the_pictures(tmp_path, plain):
 def test_truth_of_a_shaking_camera_is_what_it_saw_where_it_was(tmp_path):
     root = made(tmp_path, "--views 3 --shake 3 --truth all")
     settings = tiny("--views 3 --shake 3 --truth all")
-    record = Record(settings.effects, settings.cameras, settings.size, settings.seed)
+    record = RecordingEffects(settings.effects, settings.cameras, settings.size, settings.seed)
     camera = cameras_at(settings.cameras, 0)["train"][2]
     seen = [read_exr(root / f"truth/train/{t:03d}/r_002.exr") for t in range(5)]
     row, column = np.nonzero(seen[3]["Depth"] < 1e9)

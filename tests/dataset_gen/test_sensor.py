@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from dataset_gen.errors import GenerateError
-from dataset_gen.pictures import Sensor, capture, expose, generator, to_display, to_integers
+from dataset_gen.pictures import ImageSensor, capture, expose, generator, to_display, to_integers
 
 KEY = (0, "train", 3, 1, 0)
-CLEAN = Sensor(full_well=1e7, read_noise=0.0, adc_bits=24)  # shot noise of 1/3000: next to nothing
+CLEAN = ImageSensor(full_well=1e7, read_noise=0.0, adc_bits=24)  # shot noise of 1/3000: next to nothing
 
 
 def flat(value, size=128):
@@ -16,7 +16,7 @@ def flat(value, size=128):
 
 @pytest.mark.parametrize("exposure", [1.0, 0.25])
 def test_variance_is_affine_in_the_mean_with_the_gain_as_slope(exposure):
-    sensor = Sensor(full_well=2000.0, read_noise=6.0, exposure=exposure, adc_bits=16)
+    sensor = ImageSensor(full_well=2000.0, read_noise=6.0, exposure=exposure, adc_bits=16)
     white = 2000.0 * exposure
     levels = np.array([0.1, 0.2, 0.4, 0.6, 0.8])
     read = [expose(sensor, flat(x), (0, i)) for i, x in enumerate(levels)]
@@ -29,7 +29,7 @@ def test_variance_is_affine_in_the_mean_with_the_gain_as_slope(exposure):
 
 
 def test_the_same_key_gives_the_same_bytes_and_every_part_of_it_counts():
-    sensor, light = Sensor(), flat(0.3, 16)
+    sensor, light = ImageSensor(), flat(0.3, 16)
     first = capture(sensor, light, None, KEY)
     assert capture(sensor, flat(0.3, 16), None, (0, "train", 3, 1, 0)).tobytes() == first.tobytes()
     for i, other in enumerate((1, "test", 4, 2, 5)):
@@ -52,7 +52,7 @@ def test_without_noise_it_is_the_display_encoding(bits, kind):
 
 def test_the_converter_has_as_many_steps_as_it_has_bits():
     light = np.linspace(0, 1, 3 * 10_000, dtype=np.float32).reshape(100, 100, 3)
-    sensor = Sensor(full_well=1e7, read_noise=0.0, adc_bits=6)
+    sensor = ImageSensor(full_well=1e7, read_noise=0.0, adc_bits=6)
     values = np.unique(expose(sensor, light, KEY))
     assert len(values) == 64
     np.testing.assert_allclose(np.diff(values), 1 / 63)
@@ -62,12 +62,12 @@ def test_the_converter_has_as_many_steps_as_it_has_bits():
 
 def test_alpha_gets_no_noise_and_clear_pixels_stay_black():
     alpha = np.linspace(0, 1, 64, dtype=np.float32).reshape(8, 8)
-    picture = capture(Sensor(full_well=50.0), flat(0.5, 8), alpha, KEY)
+    picture = capture(ImageSensor(full_well=50.0), flat(0.5, 8), alpha, KEY)
     np.testing.assert_array_equal(picture[..., 3], to_integers(alpha, 8))
     assert (picture[0, 0] == 0).all()
     assert len(np.unique(picture[..., 0])) > 5
     np.testing.assert_array_equal(
-        picture[1:, :, :3], capture(Sensor(full_well=50.0), flat(0.5, 8), None, KEY)[1:]
+        picture[1:, :, :3], capture(ImageSensor(full_well=50.0), flat(0.5, 8), None, KEY)[1:]
     )
 
 
@@ -77,13 +77,13 @@ def test_jpeg_changes_the_picture_a_little_and_repeatably():
     light = np.repeat(np.repeat(rng.random((8, 8, 3)), 8, 0), 8, 1).astype(np.float32)
     plain = capture(CLEAN, light, None, KEY).astype(int)
     rough = [
-        capture(Sensor(full_well=1e7, read_noise=0, adc_bits=24, jpeg_quality=q), light, None, KEY)
+        capture(ImageSensor(full_well=1e7, read_noise=0, adc_bits=24, jpeg_quality=q), light, None, KEY)
         for q in (95, 20)
     ]
     errors = [np.abs(r - plain).mean() for r in rough]
     assert 0.1 < errors[0] < errors[1] < 40
     assert rough[0].dtype == np.uint8
-    again = capture(Sensor(full_well=1e7, read_noise=0, adc_bits=24, jpeg_quality=95), light, None, KEY)
+    again = capture(ImageSensor(full_well=1e7, read_noise=0, adc_bits=24, jpeg_quality=95), light, None, KEY)
     np.testing.assert_array_equal(again, rough[0])
 
 
@@ -102,4 +102,4 @@ def test_jpeg_changes_the_picture_a_little_and_repeatably():
 )
 def test_unusable_sensors_are_refused(changes, message):
     with pytest.raises(GenerateError, match=message):
-        Sensor(**changes)
+        ImageSensor(**changes)

@@ -17,7 +17,7 @@ from mathutils import Vector  # noqa: E402
 from mathutils.bvhtree import BVHTree  # noqa: E402
 
 from dataset_gen import build, render, truth  # noqa: E402
-from dataset_gen.cameras import Camera, cameras_at  # noqa: E402
+from dataset_gen.cameras import SceneCamera, cameras_at  # noqa: E402
 from dataset_gen.options import parser, request_from  # noqa: E402
 from dataset_gen.prepare import builtin_bodies, motion_of  # noqa: E402
 from dataset_gen.scenes import NAMES, SCENES  # noqa: E402
@@ -40,7 +40,7 @@ class World:
     motion: Motion
     stage: build.Stage
     quality: Quality
-    camera: Camera
+    camera: SceneCamera
 
     def displacements(self, state):
         return [self.motion.displacement(i, state) for i in range(len(self.bodies))]

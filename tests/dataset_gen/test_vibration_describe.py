@@ -5,9 +5,9 @@ import json
 import pytest
 
 from dataset_gen.errors import GenerateError
-from dataset_gen.vibration import MotionDescription, Ramp, Vibration, read_motion
+from dataset_gen.vibration import DampedSinusoid, MotionDescription, Ramp, read_motion
 from dataset_gen.vibration.describe import KINDS
-from dataset_gen.vibration.structures import Region
+from dataset_gen.vibration.structures import BallRegion
 
 COMMON = {"frequency": 5, "amplitude": 0.005}
 EVERY_KIND = {
@@ -58,12 +58,12 @@ def test_every_kind_reads_and_comes_back_the_same():
     assert hash(again) == hash(description)
     assert [m.kind for m in again.modes][1:] == [kind for kind in EVERY_KIND if kind != "bending"]
     first = again.modes[0]
-    assert first.law == Vibration(5.0, 1.5)
+    assert first.law == DampedSinusoid(5.0, 1.5)
     assert (first.phase, first.phases) == (-30.0, (("leaf_*", 40.0),))
     assert (first.parts, first.magnified) == (("a", "b*"), False)
     assert again.modes[-1].law == Ramp()
     assert again.modes[-1].amplitude == 0.1
-    assert again.modes[6].field.region == Region((0.0, 0.0, 0.0), 2.0)
+    assert again.modes[6].field.region == BallRegion((0.0, 0.0, 0.0), 2.0)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 
 from dataset_gen.vibration import reach
 from dataset_gen.vibration.fields import Rock, Twist, phasor
-from dataset_gen.vibration.structures import Bending, Membrane, Plate, Region, Wave, bessel_zero
+from dataset_gen.vibration.structures import BallRegion, Bending, Membrane, Plate, Wave, bessel_zero
 
 BASE, TIP = np.array([0.2, -0.1, -0.3]), np.array([0.5, 0.2, 0.4])
 LENGTH = float(np.linalg.norm(TIP - BASE))
@@ -163,7 +163,7 @@ def test_a_wave_dies_out_from_its_level_and_outside_its_region():
     plain = Wave((1, 0, 0), 0.5, (0, 0, 1))(where)
     damped = Wave((1, 0, 0), 0.5, (0, 0, 1), decay_length=0.2, level=0.1)(where)
     np.testing.assert_allclose(damped, plain * np.exp(-np.abs(where[:, 2:] - 0.1) / 0.2), atol=1e-14)
-    local = Wave((1, 0, 0), 0.5, (0, 0, 1), region=Region((0.1, 0.0, 0.0), 0.8))(where)
+    local = Wave((1, 0, 0), 0.5, (0, 0, 1), region=BallRegion((0.1, 0.0, 0.0), 0.8))(where)
     distance = np.linalg.norm(where - [0.1, 0, 0], axis=1)
     np.testing.assert_array_equal(local[distance >= 0.8], 0.0)
     np.testing.assert_array_equal(local[distance <= 0.4], plain[distance <= 0.4])

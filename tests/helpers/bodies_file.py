@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from dataset_gen.cameras import Camera, look_at
-from dataset_gen.sources.bodies_file import Found
+from dataset_gen.cameras import SceneCamera, look_at
+from dataset_gen.sources.bodies_file import FileContents
 from dataset_gen.vibration.fields import Body
 
 VERTICES = np.array([[0.1, 0.2, 0.3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
-FOUND = Found(
+FOUND = FileContents(
     bodies=(
         Body(
             "a/b ü",
@@ -22,7 +22,7 @@ FOUND = Found(
     ),
     unit_scale_m=0.01,
     own_unit=("mm", 10.0),
-    cameras=(Camera(0, look_at(np.array([4.0, 1.0, 2.0]), np.zeros(3)), angle_x=0.8, shift=(0.1, 0.0)),),
+    cameras=(SceneCamera(0, look_at(np.array([4.0, 1.0, 2.0]), np.zeros(3)), angle_x=0.8, shift=(0.1, 0.0)),),
     camera_names=("Camera",),
     warnings=("left out, volume: smoke",),
     centre=(0.5, 0.25, 1.0),

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from tg4mm.capture.look import Found, LookLine, MovingRegion, Tone
+from tg4mm.capture.look import FlickerLine, LookLine, LookSummary, MovingRegion
 
 
-def found(mark: str = "", hz: float = 5.2) -> Found:
+def found(mark: str = "", hz: float = 5.2) -> LookSummary:
     cells = np.zeros((3, 4), bool)
     cells[1, 2] = True
     line = LookLine(
@@ -16,5 +16,5 @@ def found(mark: str = "", hz: float = 5.2) -> Found:
     by_itself = np.zeros((3, 4), bool)
     by_itself[0, 0] = True
     hz_axis = np.linspace(0, 15, 31)
-    tones = (Tone(10.0, 0.01, 0.02),)
-    return Found((line,), (mover,), tones, (), hz_axis, np.ones(31), 1.5, by_itself, 16, (64, 50))
+    tones = (FlickerLine(10.0, 0.01, 0.02),)
+    return LookSummary((line,), (mover,), tones, (), hz_axis, np.ones(31), 1.5, by_itself, 16, (64, 50))

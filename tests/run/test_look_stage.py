@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, write_video
+from benchmarks.calibration.film import Coding, Film, FilmMode, Layer, texture, write_video
 from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.run.stages import look_of
 from tg4mm.run.train import train
@@ -20,7 +20,7 @@ WIDTH, HEIGHT, FPS, FRAMES, HZ = 160, 112, 30, 120, 5.6
 def video(path):
     rng = np.random.default_rng(0)
     shape = np.broadcast_to([0.16, 0.0], (HEIGHT, WIDTH, 2))
-    plate = Mode(shape, lambda t: float(np.cos(2 * np.pi * HZ * t)))
+    plate = FilmMode(shape, lambda t: float(np.cos(2 * np.pi * HZ * t)))
     cloths = [texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0)) for _ in range(2)]
     layers = [Layer(cloths[0], None, [], 0.6), Layer(cloths[1], (32, 32, 96, 80), [plate], 0.6)]
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5

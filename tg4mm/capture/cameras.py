@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.core.errors import CaptureError
-from tg4mm.core.untrusted import Record, as_number
+from tg4mm.core.untrusted import JsonRecord, as_number
 
 RIGID_TOLERANCE = 1e-3  # matrices written with four decimals pass; a scaled or sheared camera does not
 NARROWEST = 1e-6  # radians of field of view; below, the focal length grows past any use and to infinity
@@ -51,7 +51,7 @@ def world_to_camera(c2w: np.ndarray) -> np.ndarray:
     return w2c
 
 
-def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
+def read_pose(frame: JsonRecord, key: str = "transform_matrix") -> np.ndarray:
     """The frame's camera-to-world [4, 4] float64, rigid, its rotation the one nearest to what is written."""
     if key not in frame.values:
         raise frame.error(key, "a 4×4 camera-to-world matrix")
@@ -90,7 +90,7 @@ def check_near(pose: np.ndarray, where: str) -> None:
         raise CaptureError(f"{where} lies {far:g} units from the origin; expected at most {FARTHEST:g}")
 
 
-def distortion_of(frame: Record, file: Record) -> dict[str, float]:
+def distortion_of(frame: JsonRecord, file: JsonRecord) -> dict[str, float]:
     """The coefficients that are not 0, by name: a frame's own, else the file's."""
     records = {key: frame if frame.has(key) else file for key in DISTORTION}
     found = {key: record.number(key) for key, record in records.items() if record.has(key)}
@@ -98,7 +98,7 @@ def distortion_of(frame: Record, file: Record) -> dict[str, float]:
 
 
 def read_intrinsics(
-    frame: Record, file: Record, width: int, height: int, is_bent: bool = False
+    frame: JsonRecord, file: JsonRecord, width: int, height: int, is_bent: bool = False
 ) -> np.ndarray:
     """K [3, 3] in pixels for an image of width × height: a frame's own values, else the file's.
 
@@ -108,7 +108,7 @@ def read_intrinsics(
     with distortion.
     """
 
-    def source(key: str) -> Record | None:
+    def source(key: str) -> JsonRecord | None:
         return frame if frame.has(key) else file if file.has(key) else None
 
     for key in DISTORTION:

@@ -15,10 +15,10 @@ from tg4mm.capture.frames import image_path, inside, portable
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.planes import say_once
 from tg4mm.capture.scene import read_scene
-from tg4mm.capture.transforms import View, assemble, for_each_there, in_order
+from tg4mm.capture.transforms import TransformsFrame, assemble, for_each_there, in_order
 from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.splatfile.formula import rotation_matrices
-from tg4mm.core.untrusted import Record
+from tg4mm.core.untrusted import JsonRecord
 
 if TYPE_CHECKING:
     from tg4mm.capture.sfm.undistort import Lens
@@ -227,7 +227,7 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     return assemble(root, split, in_order(views), read_scene(root, needs_fps=False), 1, points)
 
 
-def views_of(root: Path) -> tuple[list[View], SurfacePoints | None]:
+def views_of(root: Path) -> tuple[list[TransformsFrame], SurfacePoints | None]:
     """Every registered image of the folder's model, without a time, and the model's points.
 
     A lens that bends straight lines is straightened by pycolmap, where pictures are decoded.
@@ -239,7 +239,7 @@ def views_of(root: Path) -> tuple[list[View], SurfacePoints | None]:
         raise CaptureError(f"{folder}: holds no registered image")
     used = {image.camera_id for image in model.images} & set(model.cameras)
     lenses = _lenses(model, used) if any(_bends(model.cameras[i]) for i in used) else {}
-    views: list[View] = []
+    views: list[TransformsFrame] = []
     for_each_there(str(folder), model.images, lambda image: views.append(_view(root, model, image, lenses)))
     return views, model.points
 
@@ -308,7 +308,7 @@ def _lenses(model: ColmapModel, used: set[int]) -> dict[int, Lens]:
     return {i: lens for (i, _), lens in lenses(known).items()}
 
 
-def _view(root: Path, model: ColmapModel, image: ColmapImage, lenses: dict[int, Lens]) -> View:
+def _view(root: Path, model: ColmapModel, image: ColmapImage, lenses: dict[int, Lens]) -> TransformsFrame:
     where = f"{model.folder}: image {image.name!r}"
     path = image_path(root, root / IMAGES, image.name, where)
     named = root / MASKS / f"{portable(root / IMAGES, image.name)}.png"  # as COLMAP's own extractor has it
@@ -319,10 +319,14 @@ def _view(root: Path, model: ColmapModel, image: ColmapImage, lenses: dict[int, 
     pose = np.linalg.inv(image.cam_from_world) @ np.diag([1.0, -1.0, -1.0, 1.0])
     check_near(pose, f"{where}: its camera")
     if (lens := lenses.get(image.camera_id)) is not None:
-        return View(path, 0, pose, Record(where, {}), Record(str(model.folder), {}), mask=mask, lens=lens)
+        return TransformsFrame(
+            path, 0, pose, JsonRecord(where, {}), JsonRecord(str(model.folder), {}), mask=mask, lens=lens
+        )
     fl_x, fl_y, cx, cy = _intrinsics(camera)
     values = {"fl_x": fl_x, "fl_y": fl_y, "cx": cx, "cy": cy, "w": camera.width, "h": camera.height}
-    return View(path, 0, pose, Record(where, values), Record(str(model.folder), {}), mask=mask)
+    return TransformsFrame(
+        path, 0, pose, JsonRecord(where, values), JsonRecord(str(model.folder), {}), mask=mask
+    )
 
 
 def _intrinsics(camera: ColmapCamera) -> tuple[float, float, float, float]:

@@ -7,8 +7,8 @@ from pathlib import Path
 from tg4mm.capture import colmap, nerf_synthetic, nerfstudio
 from tg4mm.capture.frames import IMAGE_SUFFIXES, inside
 from tg4mm.capture.model import Capture
-from tg4mm.capture.scene import Scene, read_scene
-from tg4mm.capture.transforms import View, assemble, natural, read_views
+from tg4mm.capture.scene import SceneDescription, read_scene
+from tg4mm.capture.transforms import TransformsFrame, assemble, natural, read_views
 from tg4mm.core.errors import CaptureError
 
 LAYOUT = "a dataset tree (scene.json and timestep folders 000, 001, …)"
@@ -68,11 +68,11 @@ def _published(root: Path) -> dict[int, Path]:
     return found
 
 
-def _published_truth(root: Path, base: Path, scene: Scene) -> Capture:
+def _published_truth(root: Path, base: Path, scene: SceneDescription) -> Capture:
     """Its pictures, which are of the test views in order of name where no transforms_test.json says more."""
     folders = _timestep_folders(base, base, gaps=True)
-    test: list[View] = []
-    views: list[View] = []
+    test: list[TransformsFrame] = []
+    views: list[TransformsFrame] = []
     for t, folder in folders.items():
         if (folder / "transforms_test.json").is_file():
             views += read_views(base, folder, "test", t)

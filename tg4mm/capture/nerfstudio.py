@@ -9,9 +9,9 @@ from tg4mm.capture.frames import picture_header, portable
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import read_points
 from tg4mm.capture.scene import read_scene
-from tg4mm.capture.transforms import View, assemble, timed, views_of_frames
+from tg4mm.capture.transforms import TransformsFrame, assemble, timed, views_of_frames
 from tg4mm.core.errors import CaptureError, MissingSplitError
-from tg4mm.core.untrusted import Record, read_record
+from tg4mm.core.untrusted import JsonRecord, read_record
 from tg4mm.core.values import shown
 
 LAYOUT = "a nerfstudio folder (transforms.json)"
@@ -50,7 +50,7 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     return assemble(root, split, views, scene, n_timesteps, _points(root, file))
 
 
-def _of_split(file: Record, frames: list[Any], split: str) -> list[tuple[int, Any]]:
+def _of_split(file: JsonRecord, frames: list[Any], split: str) -> list[tuple[int, Any]]:
     """The split's frames with their numbers in the file."""
     keys = [key for key in ("train_filenames", "test_filenames", "val_filenames") if file.has(key)]
     key = f"{split}_filenames"
@@ -77,7 +77,7 @@ def _of_split(file: Record, frames: list[Any], split: str) -> list[tuple[int, An
     return chosen
 
 
-def _through_lenses(views: list[View]) -> list[View]:
+def _through_lenses(views: list[TransformsFrame]) -> list[TransformsFrame]:
     """The views, with how their pictures become a pinhole's where a lens bends: pycolmap straightens them."""
     models = [_model_of(view) for view in views]
     if not any(model in _BENT for model in models):
@@ -103,7 +103,7 @@ def _through_lenses(views: list[View]) -> list[View]:
     return [replace(view, lens=found[i, 0]) for view, i in zip(views, rows, strict=True)]
 
 
-def _model_of(view: View) -> str:
+def _model_of(view: TransformsFrame) -> str:
     """COLMAP's name of a view's camera model. Raises CaptureError for one that is neither a pinhole nor can be bent."""
     record = view.frame if view.frame.has("camera_model") else view.file
     name = record.text("camera_model") if record.has("camera_model") else PINHOLES[0]
@@ -117,7 +117,7 @@ def _model_of(view: View) -> str:
     return next(model for model, names in {"PINHOLE": (), **_BENT}.items() if bends <= set(names))
 
 
-def _points(root: Path, file: Record) -> SurfacePoints | None:
+def _points(root: Path, file: JsonRecord) -> SurfacePoints | None:
     if not file.has("ply_file_path"):
         return None
     name = portable(root, file.text("ply_file_path"))

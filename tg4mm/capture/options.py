@@ -12,8 +12,8 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.options import REQUIRED, argument, option, parse_timesteps
 
 if TYPE_CHECKING:
-    from tg4mm.capture.sfm.clip import Window
-    from tg4mm.capture.sfm.scale import Length
+    from tg4mm.capture.sfm.clip import TimeWindow
+    from tg4mm.capture.sfm.scale import KnownLength
 
 INPUT = (
     "A folder of photographs; or one video of a fixed or a moving camera, or with --fps a folder of its numbered "
@@ -32,10 +32,10 @@ def keep_duplicates_option() -> Any:
     return option(False, about)
 
 
-def _length(given: _LENGTH | None) -> "Length | None":
-    from tg4mm.capture.sfm.scale import Length
+def _length(given: _LENGTH | None) -> "KnownLength | None":
+    from tg4mm.capture.sfm.scale import KnownLength
 
-    return None if given is None else Length(((given[:3],), (given[3:6],)), given[6])
+    return None if given is None else KnownLength(((given[:3],), (given[3:6],)), given[6])
 
 
 def length_file_option() -> Any:
@@ -85,7 +85,7 @@ class RecordingConfig:
     baseline: tuple[str, str, float] | None = option(
         None, "Scale: names of two cameras or photographs, and their distance.", metavar="A B METRES"
     )
-    length: "Length | None" = option(
+    length: "KnownLength | None" = option(
         None,
         "Scale: a known length in the scene. Each end is a picture's name and its pixels from the left and the upper "
         "edge, in the picture as given.",
@@ -101,11 +101,11 @@ class RecordingConfig:
     )
 
     @property
-    def window(self) -> "Window":
+    def window(self) -> "TimeWindow":
         """The part of every recording that is taken."""
-        from tg4mm.capture.sfm.clip import Window
+        from tg4mm.capture.sfm.clip import TimeWindow
 
-        return Window(self.start_s, math.inf if self.stop_s is None else self.stop_s)
+        return TimeWindow(self.start_s, math.inf if self.stop_s is None else self.stop_s)
 
 
 class Intrinsics(StrEnum):

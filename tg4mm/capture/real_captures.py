@@ -15,11 +15,11 @@ from pathlib import Path
 from tg4mm.capture import colmap
 from tg4mm.capture.frames import IMAGE_SUFFIXES, image_path, inside
 from tg4mm.capture.model import Capture
-from tg4mm.capture.scene import Scene, read_scene
-from tg4mm.capture.transforms import View, assemble, natural
+from tg4mm.capture.scene import SceneDescription, read_scene
+from tg4mm.capture.transforms import TransformsFrame, assemble, natural
 from tg4mm.core.choices import Kind
 from tg4mm.core.errors import CaptureError, MissingSplitError
-from tg4mm.core.untrusted import Record, read_record
+from tg4mm.core.untrusted import JsonRecord, read_record
 
 LAYOUT = "a capture of 3DMM (images/, sparse/0/ and video_frames_1/, or dynamic_start in scene.json)"
 FRAMES = "video_frames_1"
@@ -68,7 +68,7 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     )
 
 
-def _of_tripod(root: Path, views: list[View]) -> list[View]:
+def _of_tripod(root: Path, views: list[TransformsFrame]) -> list[TransformsFrame]:
     """The frames, each with the pose and lens of the last picture."""
     names = _pictures(root / colmap.IMAGES)
     if not names or views[-1].path != names[-1]:
@@ -89,9 +89,9 @@ def _of_tripod(root: Path, views: list[View]) -> list[View]:
     return found
 
 
-def _of_hand(root: Path, views: list[View], scene: Scene) -> list[View]:
+def _of_hand(root: Path, views: list[TransformsFrame], scene: SceneDescription) -> list[TransformsFrame]:
     """The pictures from the start on, all of which are registered."""
-    record = Record(str(root / "scene.json"), scene.values)
+    record = JsonRecord(str(root / "scene.json"), scene.values)
     first = record.whole(START, 1) - 1
     names = _pictures(root / colmap.IMAGES)
     count = scene.n_timesteps or len(names) - first

@@ -11,7 +11,7 @@ from tg4mm.capture.frames import inside
 from tg4mm.capture.model import CLOCKS
 from tg4mm.core.choices import KINDS, Kind
 from tg4mm.core.errors import CaptureError
-from tg4mm.core.untrusted import Record, read_record
+from tg4mm.core.untrusted import JsonRecord, read_record
 from tg4mm.core.values import Maybe, Number, check_form
 
 FORMAT_VERSION = 1
@@ -31,7 +31,7 @@ _FORM = {
 
 
 @dataclass(frozen=True)
-class Scene:
+class SceneDescription:
     """The part of scene.json that readers use, and all of it as read."""
 
     fps: float = 0.0  # Hz; 0.0 if unknown
@@ -84,7 +84,7 @@ def video_file(root: Path) -> VideoFile | None:
     entry = read_scene(root, needs_fps=False).values.get("video")
     if entry is None:
         return None
-    record = Record(f"{where}: video", entry)
+    record = JsonRecord(f"{where}: video", entry)
     repeats = entry.get("repeats", [])
     if not isinstance(entry.get("file"), str):
         raise record.error("file", "the name of a video")
@@ -94,17 +94,17 @@ def video_file(root: Path) -> VideoFile | None:
     return VideoFile(path, record.number("from_s", low=-1.0), tuple(repeats)) if path.is_file() else None
 
 
-def read_scene(root: Path, needs_fps: bool) -> Scene:
-    """root/scene.json, an empty `Scene` if absent; CaptureError for a wrong type, or for no fps if needed."""
+def read_scene(root: Path, needs_fps: bool) -> SceneDescription:
+    """Read root/scene.json, empty if absent; CaptureError for a wrong type, or for no fps if needed."""
     path = inside(root, root / "scene.json", "scene.json")
     if not path.is_file():
         if needs_fps:
             raise CaptureError(f'{path}: does not exist; expected at least {{"fps": <frames per second>}}')
-        return Scene()
+        return SceneDescription()
     record = read_record(path)
     _check_types(record)
     fps = record.number("fps", low=0.0, high=_FASTEST) if needs_fps or record.has("fps") else 0.0
-    return Scene(
+    return SceneDescription(
         fps=fps,
         n_timesteps=record.whole("n_timesteps", 1) if record.has("n_timesteps") else None,
         unit_scale_m=record.number("unit_scale_m", low=0.0) if record.has("unit_scale_m") else None,
@@ -115,7 +115,7 @@ def read_scene(root: Path, needs_fps: bool) -> Scene:
     )
 
 
-def _readout(record: Record, fps: float) -> float:
+def _readout(record: JsonRecord, fps: float) -> float:
     if not record.has("readout_s"):
         return 0.0
     rule = Number(0, 1 / fps if fps else _SLOWEST_READOUT_S)
@@ -126,7 +126,7 @@ def _readout(record: Record, fps: float) -> float:
     return float(record.values["readout_s"])
 
 
-def _one_of(record: Record, key: str, values: Sequence[str]) -> str:
+def _one_of(record: JsonRecord, key: str, values: Sequence[str]) -> str:
     if not record.has(key):
         return ""
     if record.values[key] not in values:
@@ -134,7 +134,7 @@ def _one_of(record: Record, key: str, values: Sequence[str]) -> str:
     return record.values[key]
 
 
-def _check_types(record: Record) -> None:
+def _check_types(record: JsonRecord) -> None:
     if record.has("format_version") and record.whole("format_version", 0) != FORMAT_VERSION:
         raise record.error("format_version", f"{FORMAT_VERSION}, the version this reader knows")
     for key in _COUNTS:

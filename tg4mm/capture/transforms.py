@@ -17,11 +17,11 @@ from tg4mm.capture.frames import MissingPictureError, frame_of, image_path, insi
 from tg4mm.capture.model import Capture, SurfacePoints, check_times, times_of_timesteps
 from tg4mm.capture.planes import say_once
 from tg4mm.capture.points import read_points
-from tg4mm.capture.scene import Scene
+from tg4mm.capture.scene import SceneDescription
 from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.files import argument
 from tg4mm.core.pictures.decode import THREADS
-from tg4mm.core.untrusted import Record, read_record
+from tg4mm.core.untrusted import JsonRecord, read_record
 from tg4mm.core.values import shown
 
 if TYPE_CHECKING:
@@ -34,21 +34,23 @@ _TYPICAL = 90  # percentile of the differences of times: that of a step, where c
 
 
 @dataclass(frozen=True)
-class View:
+class TransformsFrame:
     """One frame of a transforms file, checked except for what needs the image's size."""
 
     path: Path
     timestep: int
     pose: np.ndarray  # [4, 4] camera-to-world, OpenGL axes
-    frame: Record
-    file: Record
+    frame: JsonRecord
+    file: JsonRecord
     time_s: float = math.nan  # the frame's own time; NaN where it has none
     mask: Path | None = None  # white where it counts; None: everywhere
     # how its picture becomes a pinhole's, where it is none; then intrinsics are its own
     lens: Lens | None = None
 
 
-def read_views(root: Path, folder: Path, split: str, timestep: int, may_miss: bool = False) -> list[View]:
+def read_views(
+    root: Path, folder: Path, split: str, timestep: int, may_miss: bool = False
+) -> list[TransformsFrame]:
     """The frames of folder/transforms_<split>.json in order of file name.
 
     Raises CaptureError if the file is missing, empty or malformed, or a path or pose in it is unusable.
@@ -68,29 +70,29 @@ def read_views(root: Path, folder: Path, split: str, timestep: int, may_miss: bo
 def views_of_frames(
     root: Path,
     folder: Path,
-    file: Record,
+    file: JsonRecord,
     frames: list[tuple[int, Any]],
     timestep: int,
     may_miss: bool = False,
-) -> list[View]:
+) -> list[TransformsFrame]:
     """Frames, each with its number in the file, as views in order of file name; paths are relative to `folder`.
 
     may_miss: less than half of the pictures may be missing, with a warning.
 
     Raises CaptureError if a frame is no object, its path or pose is unusable, or two show one image.
     """
-    views: dict[Path, View] = {}
+    views: dict[Path, TransformsFrame] = {}
 
     def add(numbered: tuple[int, Any]) -> None:
         i, values = numbered
         if not isinstance(values, dict):
             raise CaptureError(f"{file.where}: frame {i} is {shown(values)}; expected an object {{…}}")
-        frame = Record(f"{file.where}: frame {i}", values)
+        frame = JsonRecord(f"{file.where}: frame {i}", values)
         image = image_path(root, folder, frame.text("file_path"), frame.where)
         if image in views:
             raise CaptureError(f"{frame.where}: image {image} is already that of another frame")
         time_s = frame.number("time") if frame.has("time") else math.nan
-        views[image] = View(
+        views[image] = TransformsFrame(
             image, timestep, read_pose(frame), frame, file, time_s, _mask(root, folder, frame)
         )
 
@@ -120,7 +122,7 @@ def for_each_there(where: str, named: Sequence[T], use: Callable[[T], object], m
         say_once(Path(where), f"{len(missing)} of {len(named)} pictures are missing and left out")
 
 
-def _mask(root: Path, folder: Path, frame: Record) -> Path | None:
+def _mask(root: Path, folder: Path, frame: JsonRecord) -> Path | None:
     """The file that `mask_path` of a frame names. Raises CaptureError where it is not there or leaves the dataset."""
     if not frame.has("mask_path"):
         return None
@@ -131,7 +133,9 @@ def _mask(root: Path, folder: Path, frame: Record) -> Path | None:
     return path
 
 
-def timed(views: list[View], scene: Scene) -> tuple[list[View], Scene, int]:
+def timed(
+    views: list[TransformsFrame], scene: SceneDescription
+) -> tuple[list[TransformsFrame], SceneDescription, int]:
     """Views of one file at the timesteps that their frames' times say, the scene with its frame rate, and T.
 
     Frames of one file that have several times, in seconds or as fractions of the record (D-NeRF), are of timesteps: the
@@ -177,7 +181,7 @@ def _uneven(times: np.ndarray, moments: np.ndarray, fps: float) -> tuple[np.ndar
     return number[at].astype(float), seconds
 
 
-def in_order(views: Iterable[View]) -> list[View]:
+def in_order(views: Iterable[TransformsFrame]) -> list[TransformsFrame]:
     """Views in natural order of their images' names; by the last part alone where some are frames of a video."""
     some = list(views)
     alone = any(frame_of(view.path) for view in some)
@@ -192,8 +196,8 @@ def natural(name: str) -> list[tuple[int, str]]:
 def assemble(
     root: Path,
     split: str,
-    views: list[View],
-    scene: Scene,
+    views: list[TransformsFrame],
+    scene: SceneDescription,
     n_timesteps: int,
     points: SurfacePoints | None = None,
 ) -> Capture:
@@ -240,7 +244,7 @@ def assemble(
     )
 
 
-def _times(root: Path, views: list[View], fps: float, n_timesteps: int) -> np.ndarray:
+def _times(root: Path, views: list[TransformsFrame], fps: float, n_timesteps: int) -> np.ndarray:
     """The frames' own times [C], t / fps where none has any. Raises CaptureError where they contradict fps."""
     times_s = np.array([view.time_s for view in views])
     if np.isnan(times_s).all():

@@ -25,7 +25,7 @@ from tg4mm.research.options import (
 
 if TYPE_CHECKING:
     from tg4mm.research.bench.presets import Choices
-    from tg4mm.research.bench.request import Plan
+    from tg4mm.research.bench.request import BenchPlan
     from tg4mm.research.bench.scenes import ScenesRequest
     from tg4mm.research.options import BenchOptions
 
@@ -142,13 +142,13 @@ def _request(options: JobsOptions) -> ScenesRequest:
     )
 
 
-def _plan(options: BenchOptions, banded: bool) -> Plan:
+def _plan(options: BenchOptions, banded: bool) -> BenchPlan:
     alphas = options.alphas_list
     from tg4mm.fit.device import check_device
-    from tg4mm.research.bench.request import Plan
+    from tg4mm.research.bench.request import BenchPlan
 
     check_device(options.device.value)
-    return Plan(
+    return BenchPlan(
         alphas=alphas, banded=banded, lpips_weights=options.lpips_weights, device=options.device.value
     )
 

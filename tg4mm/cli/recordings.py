@@ -45,11 +45,11 @@ def look(options: LookOptions) -> None:
     _check_look(options)
     from tg4mm.capture.look import look as looked
     from tg4mm.capture.look.rows import with_rows
-    from tg4mm.capture.sfm.clip import Window
+    from tg4mm.capture.sfm.clip import TimeWindow
     from tg4mm.show.look import Words
 
     o, readout = options, options.readout or 0.0
-    window = Window(o.start, math.inf if o.until is None else o.until)
+    window = TimeWindow(o.start, math.inf if o.until is None else o.until)
     drawn = read_drawn(o.regions)
     found = looked(o.video, o.fps, window, drawn, o.keep_duplicates)
     if readout > (frame_ms := 1e3 / found.rate):

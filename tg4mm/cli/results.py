@@ -362,7 +362,7 @@ def _session(run: Path, options: ViewOptions) -> Session:
     from tg4mm.core.magnification import Magnification, check_band
     from tg4mm.run import Run
     from tg4mm.show.view.scene import open_scene
-    from tg4mm.show.view.session import Clock, Look, Session, slow_enough
+    from tg4mm.show.view.session import DisplaySettings, PlaybackClock, Session, slow_enough
 
     scene = open_scene(Run.open(run))
     bands = [band for band in options.bands if band is not None]
@@ -372,8 +372,8 @@ def _session(run: Path, options: ViewOptions) -> Session:
     strongest, speed = scene.strongest(plan), 1.0
     if strongest is not None and scene.motion is not None:
         speed = slow_enough(float(scene.motion.freqs_hz[strongest]))
-    look = Look(plan, beside=scene.duration > 0)
-    return Session(scene, look, Clock(scene.duration, speed=speed, playing=scene.duration > 0))
+    look = DisplaySettings(plan, beside=scene.duration > 0)
+    return Session(scene, look, PlaybackClock(scene.duration, speed=speed, playing=scene.duration > 0))
 
 
 def export(options: ExportOptions) -> None:

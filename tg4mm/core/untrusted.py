@@ -1,7 +1,7 @@
 """JSON, YAML and .npz of unknown origin as plain data: what a file promises is checked first.
 
 What tg4mm wrote may carry a digest of its other entries (`write_sealed`); it then is what was written, or is refused.
-`Record` checks values where they are read, so that an error names file, key and value.
+`JsonRecord` checks values where they are read, so that an error names file, key and value.
 """
 
 import errno
@@ -270,7 +270,7 @@ def as_number(value: Any) -> float:
 
 
 @dataclass(frozen=True)
-class Record:
+class JsonRecord:
     """A JSON object and where it came from; its getters raise CaptureError with both."""
 
     where: str  # file, and the part of it
@@ -308,7 +308,7 @@ class Record:
         return value
 
 
-def read_record(path: Path) -> Record:
+def read_record(path: Path) -> JsonRecord:
     """A JSON file whose top level is an object."""
     try:
         values = read_json(path)
@@ -318,4 +318,4 @@ def read_record(path: Path) -> Record:
         raise CaptureError(f"{path}: is not valid JSON: {error}") from error
     if not isinstance(values, dict):
         raise CaptureError(f"{path}: holds {shown(values)}; expected a JSON object {{…}}")
-    return Record(str(path), values)
+    return JsonRecord(str(path), values)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """Cells as text; the first `text_columns` are words, the others numbers."""
 
     key: str  # a file's name
@@ -28,7 +28,7 @@ def escaped(text: str) -> str:
     return "".join(_ESCAPES.get(mark, mark) for mark in text)
 
 
-def latex_table(table: Table, where: str = "") -> str:
+def latex_table(table: TextTable, where: str = "") -> str:
     """A `longtable` of the packages booktabs and longtable; `where` (the group of sets) ends its title."""
     columns = "l" * table.text_columns + "r" * (len(table.header) - table.text_columns)
     title = ", ".join(part for part in (table.title, where) if part)

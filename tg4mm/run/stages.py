@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from tg4mm.capture import Capture, ImageStack, SurfacePoints
-from tg4mm.capture.look import Found, Picture, look_at_pictures
+from tg4mm.capture.look import GreyPicture, LookSummary, look_at_pictures
 from tg4mm.capture.look.compression import with_losses
 from tg4mm.capture.look.reading import FEWEST, INTRA
 from tg4mm.capture.look.record import from_record, to_record
@@ -50,7 +50,7 @@ def train_motion(
     device: str = "cpu",
     mask: np.ndarray | None = None,
     moves: np.ndarray | None = None,
-    found: Found | None = None,
+    found: LookSummary | None = None,
 ) -> ModalMotion:
     """Fit the motion of the run's Gaussians to a capture of T > 1 timesteps and save it in the run (`fit_motion`).
 
@@ -185,7 +185,7 @@ def train_plane(run: Run, views: RestViews, config: SpaceConfig, device: str = "
     return fit.gaussians
 
 
-def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePictures) -> Found | None:
+def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePictures) -> LookSummary | None:
     """Look at the recording of a single fixed camera; return None for several cameras or too few pictures."""
     if len(fixed_cameras(capture)) != 1 or capture.n_timesteps < FEWEST:
         return None
@@ -199,16 +199,16 @@ def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePicture
     return kept
 
 
-def look_of(run: Run) -> Found | None:
+def look_of(run: Run) -> LookSummary | None:
     """Return the look stored in the run's log."""
     values = run.log().get("look")
     return None if not values else from_record(values)
 
 
-def _pictures(capture: Capture, images: ImageStack | FilePictures) -> Iterator[Picture]:
+def _pictures(capture: Capture, images: ImageStack | FilePictures) -> Iterator[GreyPicture]:
     (frames,) = fixed_cameras(capture)[:1]
     kinds = picture_kinds(capture.root, len(frames.rows)) or [INTRA] * len(frames.rows)
     with progress("regions", len(frames.rows), "pictures") as update:
         for k, (row, time) in enumerate(zip(frames.rows, frames.times_s, strict=True)):
-            yield Picture(255 * (images.rgb(int(row)) @ _LUMA), float(time), kinds[k])
+            yield GreyPicture(255 * (images.rgb(int(row)) @ _LUMA), float(time), kinds[k])
             update(k + 1)

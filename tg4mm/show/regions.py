@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from tg4mm.capture.look import Found
+from tg4mm.capture.look import LookSummary
 from tg4mm.core.pages.charts import CEILING, MUTED, OURS, chart
 from tg4mm.core.pages.page import Figure, drawing
 
@@ -69,7 +69,7 @@ def _overlap(a: _Box, b: _Box) -> bool:
     return a[0] < b[2] + _GAP and b[0] < a[2] + _GAP and a[1] < b[3] + _GAP and b[1] < a[3] + _GAP
 
 
-def composite(axes: Any, found: Found) -> None:
+def composite(axes: Any, found: LookSummary) -> None:
     """Draw power over noise (mean over cells), the floor that noise exceeds once in 100 recordings, and the lines."""
     axes.semilogy(found.hz[1:], np.maximum(found.composite[1:], 0.3), color=OURS, lw=1.2)
     axes.axhline(found.composite_floor, color=CEILING, lw=1, ls=(0, (4, 3)))
@@ -92,7 +92,7 @@ def composite(axes: Any, found: Found) -> None:
     axes.set_ylim(0.3, 3 * max(float(found.composite[1:].max(initial=1.0)), found.composite_floor))
 
 
-def composite_figure(found: Found) -> Figure:
+def composite_figure(found: LookSummary) -> Figure:
     """Return the composite spectrum as a figure of a page."""
     drawn = chart(partial(composite, found=found), "composite spectrum over all cells", (6.6, 3.0), True)
     caption = (
@@ -102,7 +102,7 @@ def composite_figure(found: Found) -> Figure:
     return Figure([drawing(drawn)], caption, width="narrow")
 
 
-def region_picture(found: Found, picture: np.ndarray) -> np.ndarray:
+def region_picture(found: LookSummary, picture: np.ndarray) -> np.ndarray:
     """Draw the picture [H, W, 3] uint8 in grey, cells that show a line in its colour, independent motion striped."""
     width, height = found.size
     scale = max(1, round(_EDGE / max(width, height)))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.capture.sfm.videos import encoded, still, texture, write_video
-from tg4mm.capture.codec import Loss, Tone, before_compression, codec_losses, is_lossless
+from tg4mm.capture.codec import Loss, MeasuredTone, before_compression, codec_losses, is_lossless
 from tg4mm.capture.codec.trial import gain_of, probe, shifts_of
 from tg4mm.capture.planes import Orientation
 from tg4mm.capture.scene import video_file
@@ -36,7 +36,7 @@ def measured(path, hz):
     made = probe(path, 0.0, N)
     times = np.arange(N) / FPS
     (u,) = shifts_of(made.luma, [REGION.astype(np.float32)], times)
-    gain, error = gain_of(u, [Tone(hz, np.array([AMPLITUDE + 0j, 0]))], 0, times)
+    gain, error = gain_of(u, [MeasuredTone(hz, np.array([AMPLITUDE + 0j, 0]))], 0, times)
     return gain * AMPLITUDE, error * AMPLITUDE
 
 
@@ -53,7 +53,7 @@ def measured(path, hz):
 def test_what_is_lost_is_told_blind(tmp_path, codec, options, hz):
     path = film(tmp_path / "a.mp4", hz, codec, **options)
     amplitude, error = measured(path, hz)
-    (loss,) = codec_losses(path, [REGION], [[Tone(hz, np.array([amplitude, 0]))]], FPS)[0]
+    (loss,) = codec_losses(path, [REGION], [[MeasuredTone(hz, np.array([amplitude, 0]))]], FPS)[0]
     true = amplitude / AMPLITUDE
     assert abs(loss.gain - true) < 3 * np.hypot(loss.deviation, error / AMPLITUDE)
     assert bool(loss.why) == (loss.gain < 0.5)
@@ -61,20 +61,20 @@ def test_what_is_lost_is_told_blind(tmp_path, codec, options, hz):
 
 def test_pictures_coded_by_themselves_lose_nothing(tmp_path):
     path = encoded(tmp_path / "a.mp4", [texture().astype(np.uint8)] * 8, "libx264", gop=1, crf="18")
-    (loss,) = codec_losses(path, [REGION], [[Tone(2.5, np.array([0.04, 0]))]], FPS)[0]
+    (loss,) = codec_losses(path, [REGION], [[MeasuredTone(2.5, np.array([0.04, 0]))]], FPS)[0]
     assert (loss.gain, loss.deviation, loss.why) == (1.0, 0.0, "")
 
 
 def test_an_encoder_that_is_not_named_is_judged_by_the_pictures(tmp_path):
     path = film(tmp_path / "a.mp4", 9.0, "mpeg4", b="500000")
-    (loss,) = codec_losses(path, [REGION], [[Tone(9.0, np.array([0.02, 0]))]], FPS)[0]
+    (loss,) = codec_losses(path, [REGION], [[MeasuredTone(9.0, np.array([0.02, 0]))]], FPS)[0]
     assert np.isnan(loss.gain)
     assert "% of its pixels repeat the frame before" in loss.why
 
 
 def test_a_video_that_cannot_be_read_is_marked(tmp_path):
     (tmp_path / "a.mp4").write_bytes(b"nothing of a video")
-    (loss,) = codec_losses(tmp_path / "a.mp4", [REGION], [[Tone(9.0, np.array([0.02, 0]))]], FPS)[0]
+    (loss,) = codec_losses(tmp_path / "a.mp4", [REGION], [[MeasuredTone(9.0, np.array([0.02, 0]))]], FPS)[0]
     assert np.isnan(loss.gain)
     assert "cannot be tested" in loss.why
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.capture.look.test_look import film, seen, tone
-from tg4mm.capture.look import Picture, look_at_pictures
+from tg4mm.capture.look import GreyPicture, look_at_pictures
 
 HZ = 4.37
 
@@ -51,7 +51,7 @@ def test_a_converted_recording_is_recognised_by_the_images_of_its_strongest_line
     made = film((0.4, 0.0), tone(hz), noise=1.0)
     source = list(replace(made, fps=rate, frames=round(8 * rate)).pictures())
     found = look_at_pictures(
-        (Picture(p, k / shown) for k, p in enumerate(CONVERTED[words](source))), "a film"
+        (GreyPicture(p, k / shown) for k, p in enumerate(CONVERTED[words](source))), "a film"
     )
     assert found.conversion.startswith(words.strip(", "))
     assert [round(line.hz, 2) for line in found.vibrations] == [round(hz, 2)]

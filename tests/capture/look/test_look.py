@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from skimage import data
 
-from benchmarks.calibration.film import Coding, Film, Layer, Mode, sliding, texture, write_video
-from tg4mm.capture.look import Picture, look, look_at_pictures
+from benchmarks.calibration.film import Coding, Film, FilmMode, Layer, sliding, texture, write_video
+from tg4mm.capture.look import GreyPicture, look, look_at_pictures
 from tg4mm.capture.look.look import _is_off_mirror
 from tg4mm.core.errors import CaptureError
 
@@ -23,7 +23,7 @@ def film(amplitude_px, motion, noise=3.0, seed=0):
         return texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0))
 
     shape = np.broadcast_to(np.array(amplitude_px), (HEIGHT, WIDTH, 2))
-    layers = [Layer(cloth(), None, [], 0.6), Layer(cloth(), PLATE, [Mode(shape, motion)], 0.6)]
+    layers = [Layer(cloth(), None, [], 0.6), Layer(cloth(), PLATE, [FilmMode(shape, motion)], 0.6)]
     return Film(layers, FPS, FRAMES, noise, seed=seed)
 
 
@@ -33,7 +33,7 @@ def tone(hz):
 
 def pictures(made):
     for k, grey in enumerate(made.pictures()):
-        yield Picture(grey, k / FPS)
+        yield GreyPicture(grey, k / FPS)
 
 
 def seen(made):
@@ -150,7 +150,7 @@ def test_the_edge_of_what_vibrates_is_not_masked_however_little_noise_there_is()
     rng, shift = np.random.default_rng(9), 0.4
     dark, bright = (texture(HEIGHT, WIDTH, rng, c, m, (1.5, 4.0)) for c, m in ((0.4, 0.06), (0.1, 0.6)))
     shape = np.broadcast_to([shift, 0.0], (HEIGHT, WIDTH, 2))
-    body = Layer(dark, (-8, 24, 56, HEIGHT + 8), [Mode(shape, tone(3.7))], 0.3)
+    body = Layer(dark, (-8, 24, 56, HEIGHT + 8), [FilmMode(shape, tone(3.7))], 0.3)
     found = seen(Film([Layer(bright, None, [], 0.3), body], FPS, FRAMES, 0.5, seed=9))
     assert found.movers == ()
     assert not found.moves_by_itself.any()
@@ -168,7 +168,7 @@ def test_a_part_that_moves_at_the_same_frequency_otherwise_is_a_row_of_its_own(d
     def plate(box, towards, size, phase):
         shape = np.broadcast_to(size * np.array(towards), (HEIGHT, WIDTH, 2))
         cloth = texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0))
-        return Layer(cloth, box, [Mode(shape, lambda t: float(np.cos(2 * np.pi * hz * t + phase)))], 0.6)
+        return Layer(cloth, box, [FilmMode(shape, lambda t: float(np.cos(2 * np.pi * hz * t + phase)))], 0.6)
 
     wall = Layer(texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0)), None, [], 0.6)
     boxes = (16, 32, 56, 80), (104, 32, 144, 80)
@@ -224,16 +224,16 @@ def test_predicted_frames_alone_do_not_resolve_a_frequency_near_half_their_rate(
 
 
 def test_what_cannot_be_looked_at_is_said():
-    few = [Picture(np.zeros((32, 32), np.uint8), k / FPS) for k in range(10)]
+    few = [GreyPicture(np.zeros((32, 32), np.uint8), k / FPS) for k in range(10)]
     with pytest.raises(CaptureError, match="a film: holds 10 pictures; at least 24 are needed"):
         look_at_pictures(few, "a film")
-    other = [*few, Picture(np.zeros((32, 48), np.uint8), 1.0)]
+    other = [*few, GreyPicture(np.zeros((32, 48), np.uint8), 1.0)]
     with pytest.raises(CaptureError, match="picture 10 has 48×32 pixels, the first 32×32"):
         look_at_pictures(other, "a film")
 
 
 def test_a_picture_without_texture_or_light_names_nothing():
-    black = [Picture(np.zeros((64, 64), np.uint8), k / FPS) for k in range(60)]
+    black = [GreyPicture(np.zeros((64, 64), np.uint8), k / FPS) for k in range(60)]
     found = look_at_pictures(black, "a film")
     assert found.lines == ()
     assert not found.usable.any()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.calibration.film import Layer, Mode, texture
+from benchmarks.calibration.film import FilmMode, Layer, texture
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, knocks
 from tg4mm.capture.look.scene import find_masks
 from tg4mm.capture.look.spectra import noise_floor, spectrum, tones_of
@@ -17,7 +17,9 @@ def test_shifts_of_cells_are_exact_up_to_a_quarter_of_a_pixel():
     shape = np.broadcast_to([1.0, -0.5], (64, 64, 2))
     t = np.arange(60) / FPS
     for size in (0.01, 0.1, 0.28):
-        layer = Layer(cloth, None, [Mode(shape, lambda t, a=size: a * float(np.cos(2 * np.pi * 3 * t)))], 0.6)
+        layer = Layer(
+            cloth, None, [FilmMode(shape, lambda t, a=size: a * float(np.cos(2 * np.pi * 3 * t)))], 0.6
+        )
         drawn = np.stack([255 * layer.drawn(k, np.zeros(2))[0] for k in t]).astype(np.float32)
         template = Template(drawn.mean(0), Grid.of(64, 64, 16))
         shift, gain, misfit, _ = template.solved(*template.products(drawn))

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.calibration.film import Film, Layer, Mode, texture
+from benchmarks.calibration.film import Film, FilmMode, Layer, texture
 from tests.helpers.look import found
-from tg4mm.capture.look import Picture, look_at_pictures
+from tg4mm.capture.look import GreyPicture, look_at_pictures
 from tg4mm.capture.look.model import Readout
 from tg4mm.capture.look.record import from_record, to_record
 from tg4mm.capture.look.rows import by_light, by_phases, readout_of, row_note, with_rows
@@ -23,12 +23,12 @@ def swaying(readout_s):
         rng, delay = np.random.default_rng(4), readout_s * ((top + 8) / HEIGHT - 0.5)
         wall, post = (texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0)) for _ in range(2))
         shape = np.broadcast_to([0.15, 0.05], (HEIGHT, WIDTH, 2))
-        mode = Mode(shape, lambda t, d=delay: float(np.cos(2 * np.pi * HZ * (t + d))))
+        mode = FilmMode(shape, lambda t, d=delay: float(np.cos(2 * np.pi * HZ * (t + d))))
         film = Film([Layer(wall, None, [], 0.6), Layer(post, POST, [mode], 0.6)], FPS, FRAMES, 3.0, seed=4)
         films.append(film.pictures())
     for k, parts in enumerate(zip(*films, strict=True)):
         rows = [np.asarray(p)[16 * i : 16 * i + 16] for i, p in enumerate(parts)]
-        yield Picture(np.concatenate(rows), k / FPS)
+        yield GreyPicture(np.concatenate(rows), k / FPS)
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from benchmarks.calibration.film import Film, Layer, Mode, texture
+from benchmarks.calibration.film import Film, FilmMode, Layer, texture
 from tests.helpers.look import found as a_look
-from tg4mm.capture.look import Picture, look_at_pictures
-from tg4mm.capture.look.model import GlobalMotion, Tone
+from tg4mm.capture.look import GreyPicture, look_at_pictures
+from tg4mm.capture.look.model import FlickerLine, GlobalMotion
 from tg4mm.capture.look.zoom import camera_shapes, designs, fitted, left_of, swing_note
 from tg4mm.capture.tracking.template import Grid
 
@@ -55,12 +55,12 @@ def test_a_lens_that_pumps_is_named_with_its_frequency_and_taken_off_what_vibrat
     rng = np.random.default_rng(4)
     height, width = 112, 160
     away = np.stack(np.meshgrid(np.arange(width) + 0.5 - 80, np.arange(height) + 0.5 - 56), -1)
-    pumps = Mode(away, lambda t: 0.002 * float(np.cos(2 * np.pi * 2.3 * t)))
-    sways = Mode(np.broadcast_to([0.0, 0.1], away.shape), lambda t: float(np.cos(2 * np.pi * 6.1 * t)))
+    pumps = FilmMode(away, lambda t: 0.002 * float(np.cos(2 * np.pi * 2.3 * t)))
+    sways = FilmMode(np.broadcast_to([0.0, 0.1], away.shape), lambda t: float(np.cos(2 * np.pi * 6.1 * t)))
     cloths = [texture(height, width, rng, 0.3, 0.3, (1.5, 4.0)) for _ in range(2)]
     layers = [Layer(cloths[0], None, [pumps], 0.6), Layer(cloths[1], (48, 32, 112, 80), [pumps, sways], 0.6)]
     film = Film(layers, 30, 180, 3.0, light=lambda t: 1.0 if t < 3 else 1.2)
-    found = look_at_pictures([Picture(p, k / 30) for k, p in enumerate(film.pictures())], "a film")
+    found = look_at_pictures([GreyPicture(p, k / 30) for k, p in enumerate(film.pictures())], "a film")
     (line,) = found.vibrations
     assert line.hz == pytest.approx(6.1, abs=3 * line.hz_deviation)
     assert line.amplitude_px == pytest.approx(0.1, abs=2 * line.amplitude_deviation_px)
@@ -75,5 +75,5 @@ def test_a_lens_that_pumps_is_named_with_its_frequency_and_taken_off_what_vibrat
 def test_a_faint_line_at_the_zooms_frequency_is_marked_and_a_strong_one_is_not():
     line = a_look().lines[0]
     for size, is_marked in ((10 * line.amplitude_px, True), (line.amplitude_px, False)):
-        zoom = GlobalMotion("zoom", size, 0.0, (Tone(line.hz, 0.01, size),))
+        zoom = GlobalMotion("zoom", size, 0.0, (FlickerLine(line.hz, 0.01, size),))
         assert bool(left_of(line, [zoom], 10.0)) == is_marked

@@ -19,7 +19,7 @@ from tg4mm.capture.look import look
 from tg4mm.capture.look.recording import read_recording
 from tg4mm.capture.pictures import load_images
 from tg4mm.capture.readers import load_capture
-from tg4mm.capture.sfm.clip import Window
+from tg4mm.capture.sfm.clip import TimeWindow
 from tg4mm.capture.sfm.reconstruct import SfmConfig, reconstruct
 from tg4mm.capture.video import grey_frames, video_frames, video_info
 from tg4mm.cli import main
@@ -155,7 +155,9 @@ def test_what_has_no_times_asks_for_the_rate_and_takes_no_window(tmp_path):
     for call in (lambda: look(path), lambda: reconstruct(path, tmp_path / "out", SfmConfig(kind="flat"), 1)):
         with pytest.raises(Exception, match="--fps"):
             call()
-    refused(lambda: look(path, RATE, Window(0.1)), "has no time stamps, so --from and --until cannot be used")
+    refused(
+        lambda: look(path, RATE, TimeWindow(0.1)), "has no time stamps, so --from and --until cannot be used"
+    )
 
 
 def test_pictures_that_are_missing_amid_a_recording_are_named(tmp_path):

@@ -11,8 +11,8 @@ import pytest
 from tests.capture.sfm.scenes import orbit
 from tg4mm.capture.sfm.config import SfmConfig, checked
 from tg4mm.capture.sfm.points import Similarity
-from tg4mm.capture.sfm.scale import CLICK_PX, Length, measured_length, read_length, triangulated
-from tg4mm.capture.sfm.staging import Shot
+from tg4mm.capture.sfm.scale import CLICK_PX, KnownLength, measured_length, read_length, triangulated
+from tg4mm.capture.sfm.staging import StagedPicture
 from tg4mm.core.errors import Tg4mmError
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -42,9 +42,9 @@ class Scene:
             self.model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(viewmat[:3]))
             for k, point in enumerate(np.array(ids)[inside]):
                 self.model.add_observation(int(point), pycolmap.TrackElement(i, k))
-            self.taken.append(Shot(name, Path(name), "shared", "sweep"))
+            self.taken.append(StagedPicture(name, Path(name), "shared", "sweep"))
             self.placed[name] = self.model.images[i]
-        self.taken.append(Shot("sweep/lost.jpg", Path("sweep/lost.jpg"), "shared", "sweep"))
+        self.taken.append(StagedPicture("sweep/lost.jpg", Path("sweep/lost.jpg"), "shared", "sweep"))
 
     def seen(self, viewmat, xyz):
         cam = xyz @ viewmat[:3, :3].T + viewmat[:3, 3]
@@ -61,7 +61,7 @@ class Scene:
 
     def measure(self, *ends, metres=0.6):
         world = Similarity(np.eye(3)[[1, 2, 0]], HALF, np.array([0.3, 0.2, 0.1]))
-        return measured_length(Length(ends, metres), self.taken, self.placed, self.model, world)
+        return measured_length(KnownLength(ends, metres), self.taken, self.placed, self.model, world)
 
 
 @pytest.fixture(scope="module")
@@ -161,11 +161,11 @@ def test_no_points_around():
 def test_a_length_of_nothing_and_two_lengths():
     end = (("a", 1.0, 1.0),)
     with pytest.raises(Tg4mmError, match=r"--length is 0\.0 m, expected a length above 0 m"):
-        checked(SfmConfig(length=Length((end, end), 0.0)))
+        checked(SfmConfig(length=KnownLength((end, end), 0.0)))
     with pytest.raises(Tg4mmError, match=r"--length: a has the position nan, 1\.0, expected pixels"):
-        checked(SfmConfig(length=Length(((("a", float("nan"), 1.0),), end), 1.0)))
+        checked(SfmConfig(length=KnownLength(((("a", float("nan"), 1.0),), end), 1.0)))
     with pytest.raises(Tg4mmError, match="--unit-scale-m and --length exclude each other"):
-        checked(SfmConfig(length=Length((end, end), 1.0), unit_scale_m=2.0))
+        checked(SfmConfig(length=KnownLength((end, end), 1.0), unit_scale_m=2.0))
 
 
 class TestFile:
@@ -173,7 +173,7 @@ class TestFile:
         "metres": 0.35,
         "points": [{"000.jpg": [210, 345.5], "008.jpg": [180, 350]}, {"000.jpg": [410, 350]}],
     }
-    expected = Length(
+    expected = KnownLength(
         ((("000.jpg", 210.0, 345.5), ("008.jpg", 180.0, 350.0)), (("000.jpg", 410.0, 350.0),)), 0.35
     )
 

@@ -22,7 +22,7 @@ from tests.capture.sfm.videos import (
 )
 from tg4mm.capture.frames import picture as frame_picture
 from tg4mm.capture.look.recording import read_recording
-from tg4mm.capture.sfm.clip import Clip, Window, clip_frames, frame_rate, regular_times, uneven_steps
+from tg4mm.capture.sfm.clip import Clip, TimeWindow, clip_frames, frame_rate, regular_times, uneven_steps
 from tg4mm.capture.video import grey_frames, is_turned, video_frames, video_info
 from tg4mm.core.errors import CaptureError
 
@@ -185,7 +185,7 @@ def test_the_rate_that_android_filmed_at_is_taken_and_said(tmp_path, caplog, fil
 
 def test_a_window_leaves_out_the_rest_and_keeps_the_times(tmp_path):
     path = write_video(tmp_path / "a.mp4", still(30), 30)
-    frames = list(clip_frames(Clip("a", path), Window(0.5, 0.8)))
+    frames = list(clip_frames(Clip("a", path), TimeWindow(0.5, 0.8)))
     assert [frame.time for frame in frames] == [Fraction(k, 30) for k in range(15, 24)]
     assert [frame.index for frame in frames] == list(range(9))
 

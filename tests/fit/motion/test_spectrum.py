@@ -6,7 +6,7 @@ Sinusoids between the bins, and drifts, are found in functions of time; noise an
 import numpy as np
 import pytest
 
-from tg4mm.fit.motion.spectrum import Clock, apply_series, find_sinusoids, modes_of
+from tg4mm.fit.motion.spectrum import FrameClock, apply_series, find_sinusoids, modes_of
 
 FPS = 30.0
 CAPTURES = [(30, 2.5), (37, 2.5), (30, 5.2), (60, 4.71), (100, 4.71), (300, 4.71)]
@@ -238,7 +238,7 @@ def test_of_frames_that_lack_or_come_late_they_are_exact(cycles, jitter):
     times -= times[0]
     angles = 2 * np.pi * np.outer(cycles, times / 100)
     series = rng.normal(size=(5, 2 * len(cycles))) @ np.concatenate([np.cos(angles), np.sin(angles)])
-    found = find_sinusoids(series, Clock.of(times))
+    found = find_sinusoids(series, FrameClock.of(times))
     np.testing.assert_allclose(found.cycles, cycles, atol=1e-3)
 
 

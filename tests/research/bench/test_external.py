@@ -19,7 +19,7 @@ from tg4mm.cli import main
 from tg4mm.research.bench.jobs import run_job
 from tg4mm.research.bench.methods.video import Linear2D
 from tg4mm.research.bench.pages.tables import groups_of, tables_of
-from tg4mm.research.bench.request import Plan
+from tg4mm.research.bench.request import BenchPlan
 from tg4mm.research.bench.scored import checkouts
 from tg4mm.research.bench.sets import open_set
 
@@ -277,7 +277,7 @@ def test_scores_are_of_the_weights_and_programs_as_they_are(data, tmp_path, monk
     def scored(lpips, quality):
         weights.write_text(lpips)
         program.write_text(f"print('score', {quality})")
-        plan = Plan(alphas=(5.0,), lpips_weights=(weights,))
+        plan = BenchPlan(alphas=(5.0,), lpips_weights=(weights,))
         vqa = checkouts({"md_vqa": tmp_path}, sys.executable)
         _, (line,) = run_job(method, opened, tmp_path / "out", plan, vqa)
         return line.alphas["5"]["lpips"], line.alphas["5"]["md_vqa"]

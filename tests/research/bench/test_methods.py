@@ -9,7 +9,7 @@ import torch
 from tg4mm.fit.magnify.phase import PhaseMagnifier, half_octave_bands
 from tg4mm.research.bench.methods.tracking import HexPlane
 from tg4mm.research.bench.methods.video import Linear2D, Phase2D, SmoothedPhase, band_response
-from tg4mm.research.bench.request import Plan
+from tg4mm.research.bench.request import BenchPlan
 from tg4mm.research.bench.sets import BenchSet
 
 T, FPS, HZ = 30, 30.0, 5.0
@@ -43,7 +43,7 @@ def gain(made, wanted, of):
 )
 def test_motion_in_the_band_grows_by_one_plus_alpha(method, alpha, least):
     video = moving(0.1)
-    response = band_response(band_set(3.5, 6.5), alpha, Plan())
+    response = band_response(band_set(3.5, 6.5), alpha, BenchPlan())
     made = method.magnified(video, response, alpha)
     assert least < gain(made, moving(0.1 * (1 + alpha)), video) < 1.05
 
@@ -51,7 +51,7 @@ def test_motion_in_the_band_grows_by_one_plus_alpha(method, alpha, least):
 @pytest.mark.parametrize("method", [Phase2D(), Linear2D(cutoff=4.0)])
 def test_motion_outside_the_band_stays(method):
     video = moving(0.1, hz=12.0)
-    made = method.magnified(video, band_response(band_set(3.5, 6.5), 10.0, Plan()), 10.0)
+    made = method.magnified(video, band_response(band_set(3.5, 6.5), 10.0, BenchPlan()), 10.0)
     assert abs(gain(made, moving(1.1, hz=12.0), video)) < 0.03
 
 
@@ -66,7 +66,7 @@ def texture(shift):
 
 
 def test_the_smoothing_takes_noise_out_of_the_motion():
-    response = band_response(band_set(3.5, 6.5), 10.0, Plan())
+    response = band_response(band_set(3.5, 6.5), 10.0, BenchPlan())
     still, wanted = texture(0.05), texture(0.55)
     video = still + np.random.default_rng(3).normal(0, 0.01, still.shape).astype(np.float32)
     off, on = (SmoothedPhase((64, 64), response, sigma)(video) for sigma in (0.0, 2.0))
@@ -83,7 +83,7 @@ def test_colour_moves_along_unless_only_luma_is_asked_for(chroma, share):
         video[..., 2] = 0.5  # so that there is chroma, which moves
         return video
 
-    response = band_response(band_set(3.5, 6.5), 10.0, Plan())
+    response = band_response(band_set(3.5, 6.5), 10.0, BenchPlan())
     made = Phase2D(chroma=chroma).magnified(coloured(0.1), response, 10.0)
     signal = np.array([[0.596, -0.274, -0.322]]).T
     videos = (v.astype(np.float64) @ signal for v in (made, coloured(1.1), coloured(0.1)))
@@ -95,7 +95,7 @@ def test_colour_moves_along_unless_only_luma_is_asked_for(chroma, share):
 def test_a_still_video_stays(method, band):
     """A filter of one second leaves some of 0 Hz in a low band, which α would multiply."""
     video = np.repeat(moving(0.0)[:1], T, axis=0)
-    made = method.magnified(video, band_response(band_set(*band), 50.0, Plan()), 50.0)
+    made = method.magnified(video, band_response(band_set(*band), 50.0, BenchPlan()), 50.0)
     assert np.abs(made - video).max() < 1e-4
 
 

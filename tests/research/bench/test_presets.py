@@ -18,7 +18,7 @@ from tg4mm.research.bench import BenchError, presets
 from tg4mm.research.bench.presets import (
     PRESETS,
     Choices,
-    Step,
+    PresetStep,
     choices_from,
     preset_from,
     run_preset,
@@ -146,7 +146,7 @@ def test_what_is_refused(arguments, message, capsys):
 
 def test_what_fails_is_said_and_the_rest_goes_on(tmp_path, monkeypatch):
     def step(name, code, *needs):
-        return Step(name, (sys.executable, "-c", code), needs)
+        return PresetStep(name, (sys.executable, "-c", code), needs)
 
     mark = tmp_path / "mark"
     steps = [

@@ -13,8 +13,8 @@ from tg4mm.research.bench.jobs import run_job
 from tg4mm.research.bench.methods.control_points import ControlConfig, ControlPoints, spread
 from tg4mm.research.bench.methods.eulerian import magnified
 from tg4mm.research.bench.methods.known import methods_of
-from tg4mm.research.bench.methods.planes import CELLS, Field, Place, place_of, rays_of, sample
-from tg4mm.research.bench.request import Plan
+from tg4mm.research.bench.methods.planes import CELLS, Place, PlaneField, place_of, rays_of, sample
+from tg4mm.research.bench.request import BenchPlan
 from tg4mm.research.bench.sets import open_set
 from tg4mm.research.paper.space import views_at
 from tg4mm.run import Run
@@ -41,7 +41,7 @@ def test_planes_are_read_as_grid_sample_reads_them_and_gradients_go_back():
 def test_what_shines_through_falls_with_the_length_of_the_way_inside(filled):
     cells = np.zeros((CELLS,) * 3, bool)
     cells[: int(filled * CELLS)] = True
-    field = Field(Place(BOX, cells), 8, 2, torch.Generator().manual_seed(0)).requires_grad_(False)
+    field = PlaneField(Place(BOX, cells), 8, 2, torch.Generator().manual_seed(0)).requires_grad_(False)
     field.density[2].weight.zero_()
     field.density[2].bias[0] = 0.0  # density 1 everywhere
     rays = torch.tensor([[-3.0, 0.1, 0.2]]), torch.tensor([[1.0, 1e-9, 1e-9]])
@@ -121,7 +121,7 @@ _FEW = {
 def test_training_finds_the_motion_and_a_second_call_does_not_train(name, data, tmp_path):
     given = {f"{name}.{k}": v for k, v in _FEW[name].items()}
     (method,) = methods_of([name], {"modal": MODAL, name: given})
-    plan = Plan(alphas=(5.0,))
+    plan = BenchPlan(alphas=(5.0,))
     figures, lines = run_job(method, open_set(data, "sway"), tmp_path, plan)
     gains = {line.row: line.alphas["5"]["gain"] for line in lines}
     for row in {"3dmm": ("3dmm: phase", "3dmm: linear")}.get(name, (name,)):

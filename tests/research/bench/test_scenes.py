@@ -20,7 +20,7 @@ from tg4mm.research.bench.means import half_width, less, line_means
 from tg4mm.research.bench.measure import SEEN
 from tg4mm.research.bench.methods.known import External
 from tg4mm.research.bench.pages.tables import differences_tables, pivots
-from tg4mm.research.bench.request import Plan, Training, same_time_training
+from tg4mm.research.bench.request import BenchPlan, Training, same_time_training
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes, same_time_trainings
 from tg4mm.research.bench.sets import open_set, truth_at
 from tg4mm.research.evaluate.run import evaluate_run
@@ -110,7 +110,7 @@ def test_other_alphas_are_scored_without_training(done, data, monkeypatch):
     out, results = done
     space = out / "runs" / data.name / "modal" / "run" / "space.safetensors"
     before = space.stat().st_mtime_ns
-    plan = Plan(alphas=(5.0,))
+    plan = BenchPlan(alphas=(5.0,))
     again = run_scenes([data], out, replace(REQUEST, methods=("modal",), plan=plan), silent)
     assert list(entry(again, "modal")["rows"]) == ["0", "5"]
     assert entry(again, "modal")["rows"]["5"] == entry(results, "modal")["rows"]["5"]
@@ -119,7 +119,7 @@ def test_other_alphas_are_scored_without_training(done, data, monkeypatch):
 
 def test_a_band_that_is_set_is_what_every_method_magnifies(data, tmp_path):
     """Where nothing moves in it, a method without training shows the motion as it was, a sixth of the truth's."""
-    methods, plan = ("modal", "phase-2d"), Plan(alphas=(5.0,))
+    methods, plan = ("modal", "phase-2d"), BenchPlan(alphas=(5.0,))
     gains = {}
     for band in ("4 6", "8 12"):
         asked = ScenesRequest(methods, {"modal": MODAL | {"motion.band": band}}, plan=plan)
@@ -184,11 +184,11 @@ def test_a_record_stays_until_the_first_new_picture(data, tmp_path):
         return SimpleNamespace(recipe=lambda *_: {"version": version}, render=render)
 
     made = len(capture)
-    rendered(method(1), "ours", opened, tmp_path, capture, 0, Plan())
+    rendered(method(1), "ours", opened, tmp_path, capture, 0, BenchPlan())
     for first, stays in ((0, True), (1, False)):
         made = first
         with pytest.raises(RunError):
-            rendered(method(2), "ours", opened, tmp_path, capture, 0, Plan())
+            rendered(method(2), "ours", opened, tmp_path, capture, 0, BenchPlan())
         assert record.exists() == stays
 
 
@@ -197,7 +197,7 @@ def test_a_run_of_another_device_is_refused(done, data):
     method = methods.Trained(Training("modal", "modal", MODAL))
     opened = open_set(data, data.name)
     with pytest.raises(RunError, match="was trained with --device cpu, not cuda"):
-        method.fit(opened, job_folder(done[0], opened, method), Plan(device="cuda"))
+        method.fit(opened, job_folder(done[0], opened, method), BenchPlan(device="cuda"))
 
 
 @pytest.mark.parametrize(("n_scenes", "between"), [(2, 1.0), (3, 0.3), (8, 1.0)])

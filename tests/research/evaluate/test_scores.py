@@ -9,7 +9,7 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.research.evaluate.scores import Candidate, change_figures, closure
+from tg4mm.research.evaluate.scores import ScoredMotion, change_figures, closure
 
 FPS, T = 30.0, 30
 
@@ -18,7 +18,7 @@ def method(modes, band=None, rotation=0):
     shape = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 3.0]])
     displacement = np.stack([m * shape for m in modes.values()]).astype(np.complex64)
     motion = ModalMotion(np.array(list(modes)), displacement, rotation * displacement, FPS, T)
-    return Candidate("ours", motion, Magnification.of(1.0, *([band] if band else [])))
+    return ScoredMotion("ours", motion, Magnification.of(1.0, *([band] if band else [])))
 
 
 def displacement(m, t, alpha):
@@ -55,7 +55,9 @@ def scene(tmp_path_factory):
 
 def figures(scene, motion, alpha=0.0):
     capture, gaussians, exact = scene
-    return change_figures(gaussians, Candidate("ours", motion), Candidate("ceiling", exact), capture, alpha)
+    return change_figures(
+        gaussians, ScoredMotion("ours", motion), ScoredMotion("ceiling", exact), capture, alpha
+    )
 
 
 def test_the_exact_motion_changes_the_picture_as_the_ceiling_does(scene):

@@ -10,7 +10,7 @@ from tg4mm.core.pages import page as p
 from tg4mm.core.pages.svg import colour_bar
 from tg4mm.show.maps import blending_weights, image_motion, motion_maps, uncertainty_map
 from tg4mm.show.render.cameras import capture_cameras
-from tg4mm.show.report.figures import Line, slice_picture
+from tg4mm.show.report.figures import SliceLine, slice_picture
 
 
 def moving_dot(axis):
@@ -25,7 +25,7 @@ def moving_dot(axis):
 @pytest.mark.parametrize("axis", ["row", "column"])
 def test_slices_hold_the_line_over_time(axis):
     video = (moving_dot(axis) * 255).astype(np.uint8)
-    picture = slice_picture(video, Line(axis, 20, 6, 19), periods=2)
+    picture = slice_picture(video, SliceLine(axis, 20, 6, 19), periods=2)
     over_time = picture if axis == "row" else picture.transpose(1, 0, 2)
     assert over_time.shape == (16, 13, 3)
     assert [int(row[:, 0].argmin()) + 6 for row in over_time] == [10 + t % 5 for t in range(8)] * 2

@@ -15,7 +15,7 @@ from tg4mm.core.magnification import Magnification
 from tg4mm.show.analyse import read_channels
 from tg4mm.show.view.app import App, canvas_of
 from tg4mm.show.view.charts import LEFT, RIGHT, WIDTH
-from tg4mm.show.view.session import Clock, Look, Session
+from tg4mm.show.view.session import DisplaySettings, PlaybackClock, Session
 
 WAIT = 60.0  # seconds; software drawing on a busy machine
 
@@ -66,7 +66,9 @@ def until(holds, what):
 
 @pytest.fixture(scope="module")
 def opened(scene, tmp_path_factory):
-    session = Session(scene, Look(Magnification.of(0.0)), Clock(scene.duration, offset=0.1))
+    session = Session(
+        scene, DisplaySettings(Magnification.of(0.0)), PlaybackClock(scene.duration, offset=0.1)
+    )
     folder = tmp_path_factory.mktemp("saved")
     with browser() as chromium:
         app = App(session, 0, folder)

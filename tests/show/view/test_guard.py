@@ -22,7 +22,7 @@ from tests.show.view.browser import browser
 from tg4mm.core.magnification import Magnification
 from tg4mm.show.view.app import App
 from tg4mm.show.view.local_server import LARGEST_MESSAGE, address, browsed, start_server, stop_server
-from tg4mm.show.view.session import Clock, Look, Session
+from tg4mm.show.view.session import DisplaySettings, PlaybackClock, Session
 
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.0, 0.0, -4.0], "fov": 0.8,
@@ -40,7 +40,9 @@ def server():
 
 @pytest.fixture(scope="module")
 def app(scene, tmp_path_factory):
-    session = Session(scene, Look(Magnification.of(5.0)), Clock(scene.duration, playing=True))
+    session = Session(
+        scene, DisplaySettings(Magnification.of(5.0)), PlaybackClock(scene.duration, playing=True)
+    )
     made = App(session, 0, tmp_path_factory.mktemp("saved"))
     yield made
     made.stop()

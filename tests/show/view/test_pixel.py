@@ -9,8 +9,8 @@ from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.animate import displacement_at
 from tg4mm.show.view.pixel_panel import Measurer, modal_waveform, seen_at
 from tg4mm.show.view.saving import save_clip
-from tg4mm.show.view.screen import Canvas
-from tg4mm.show.view.session import Clock, Look, Painter, Session
+from tg4mm.show.view.screen import Viewport
+from tg4mm.show.view.session import DisplaySettings, PlaybackClock, SceneRenderer, Session
 
 
 def on_the_ball(scene):
@@ -19,8 +19,8 @@ def on_the_ball(scene):
     moves = np.abs(scene.motion.displacement[k]).max(axis=1) > 5e-3
     centre = scene.gaussians.means.numpy()[moves].mean(axis=0)
     u, v, depth = camera.K @ (camera.viewmat[:3, :3] @ centre + camera.viewmat[:3, 3])
-    return Painter(scene).pixel_weights(
-        Look(Magnification.of(0.0)), 0.0, camera, int(u / depth), int(v / depth)
+    return SceneRenderer(scene).pixel_weights(
+        DisplaySettings(Magnification.of(0.0)), 0.0, camera, int(u / depth), int(v / depth)
     )
 
 
@@ -60,7 +60,7 @@ def test_the_pictures_say_the_same(scene):
 
 @pytest.fixture
 def session(scene):
-    return Session(scene, Look(Magnification.of(20.0)), Clock(scene.duration, offset=0.1))
+    return Session(scene, DisplaySettings(Magnification.of(20.0)), PlaybackClock(scene.duration, offset=0.1))
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def canvas(scene):
     from scipy.spatial.transform import Rotation
 
     wxyz = Rotation.from_matrix(camera.viewmat[:3, :3].T).as_quat(scalar_first=True)
-    return Canvas(tuple(camera.position), tuple(wxyz), 2 * np.arctan(24 / camera.K[1, 1]), 65, 48)
+    return Viewport(tuple(camera.position), tuple(wxyz), 2 * np.arctan(24 / camera.K[1, 1]), 65, 48)
 
 
 def test_a_clip_is_one_pass_at_the_speed_it_plays(session, canvas, tmp_path):

@@ -22,13 +22,13 @@ from tg4mm.show.render.image import render_image
 from tg4mm.show.view.charts import waveform_chart
 from tg4mm.show.view.colours import Colour, choices, gaussian_colours, legend
 from tg4mm.show.view.scene import camera_of, open_scene, standpoint_of
-from tg4mm.show.view.screen import Canvas, Pace, Screen, picture_of
-from tg4mm.show.view.session import Clock, Look, Painter, Session
+from tg4mm.show.view.screen import Pace, Screen, Viewport, picture_of
+from tg4mm.show.view.session import DisplaySettings, PlaybackClock, SceneRenderer, Session
 
 
 @pytest.fixture(scope="module")
 def painter(scene):
-    return Painter(scene)
+    return SceneRenderer(scene)
 
 
 @pytest.mark.parametrize(("alpha", "band"), [(0.0, None), (20.0, None), (20.0, (4.0, 6.0))])
@@ -37,7 +37,7 @@ def test_the_picture_is_the_one_that_render_writes(scene, painter, alpha, band):
     gaussians = animate(scene.gaussians, scene.motion, t, alphas(scene.motion, alpha, band))
     wanted = to_bytes(render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height))
     shown = painter.paint(
-        Look(Magnification.of(alpha, *([band] if band else []))), t / scene.motion.fps, camera
+        DisplaySettings(Magnification.of(alpha, *([band] if band else []))), t / scene.motion.fps, camera
     )
     assert np.abs(shown.astype(int) - wanted).max() <= 1
 
@@ -69,7 +69,7 @@ def test_a_run_without_motion_has_no_colours_but_its_own(still_run):
     assert "No cameras of the capture" in still.notes[1]
     camera = still.cameras[0]
     assert (
-        Painter(still).paint(Look(Magnification.of(50.0)), 0.0, camera).min() < 200
+        SceneRenderer(still).paint(DisplaySettings(Magnification.of(50.0)), 0.0, camera).min() < 200
     )  # the overview has the scene in view
 
 
@@ -79,20 +79,20 @@ def test_weights_of_a_pixel_sum_to_its_opacity_and_name_who_is_there(scene, pain
     centre = scene.gaussians.means.numpy()[moves].mean(axis=0)
     seen = camera.K @ (camera.viewmat[:3, :3] @ centre + camera.viewmat[:3, 3])
     x, y = (int(v) for v in seen[:2] / seen[2])
-    weights = painter.pixel_weights(Look(Magnification.of(0.0)), 0.0, camera, x, y)
+    weights = painter.pixel_weights(DisplaySettings(Magnification.of(0.0)), 0.0, camera, x, y)
     assert 0.9 < weights.sum() <= 1 + 1e-6
     assert weights[moves].sum() > 0.9 * weights.sum()
-    corner = painter.pixel_weights(Look(Magnification.of(0.0)), 0.0, camera, 0, 0)
+    corner = painter.pixel_weights(DisplaySettings(Magnification.of(0.0)), 0.0, camera, 0, 0)
     assert corner.sum() < 0.05
 
 
 def test_pictures_are_drawn_at_the_moments_that_a_measurement_gives(scene, monkeypatch):
-    painter, drawn = Painter(scene), threading.Event()
+    painter, drawn = SceneRenderer(scene), threading.Event()
     monkeypatch.setattr(numba, "threading_layer", lambda: "workqueue")
     camera = scene.cameras[0]
 
     def draw():
-        assert painter.paint(Look(), 0.0, camera).dtype == np.uint8
+        assert painter.paint(DisplaySettings(), 0.0, camera).dtype == np.uint8
         drawn.set()
 
     with painter.beside() as let_paint:
@@ -107,7 +107,7 @@ def test_pictures_are_drawn_at_the_moments_that_a_measurement_gives(scene, monke
     thread.join()
 
 
-CANVAS = Canvas((0.0, -4.0, 0.5), (0.7071068, -0.7071068, 0.0, 0.0), 0.7, 320, 240)
+CANVAS = Viewport((0.0, -4.0, 0.5), (0.7071068, -0.7071068, 0.0, 0.0), 0.7, 320, 240)
 
 
 @pytest.fixture
@@ -117,7 +117,7 @@ def sent():
 
 @pytest.fixture
 def session(scene):
-    return Session(scene, Look(Magnification.of(20.0)), Clock(scene.duration))
+    return Session(scene, DisplaySettings(Magnification.of(20.0)), PlaybackClock(scene.duration))
 
 
 @pytest.fixture
@@ -135,7 +135,7 @@ def test_every_change_is_shown(screen, session, sent):
     assert screen.refresh(CANVAS, 0.0)
     session.set_clock(lambda clock, now: clock.sought(now, 0.1))
     assert screen.refresh(CANVAS, 0.0)
-    moved = Canvas((0.0, -3.0, 0.5), CANVAS.wxyz, CANVAS.fov, 320, 240)
+    moved = Viewport((0.0, -3.0, 0.5), CANVAS.wxyz, CANVAS.fov, 320, 240)
     assert screen.refresh(moved, 0.0)
     assert len({picture.tobytes() for picture, _ in sent}) >= 3  # α = −1 looks alike at any moment
 
@@ -148,7 +148,9 @@ def test_a_run_without_frequencies_is_shown_and_says_so(run, tmp_path, sent):
     assert opened.notes == ("No frequency was found in this run: there is nothing to magnify.",)
     assert opened.duration == 0
     assert opened.alpha_to_see() == 0
-    session = Session(opened, Look(Magnification.of(20.0)), Clock(opened.duration, playing=True))
+    session = Session(
+        opened, DisplaySettings(Magnification.of(20.0)), PlaybackClock(opened.duration, playing=True)
+    )
     screen = Screen(session, lambda picture, quality: sent.append(picture))
     assert screen.refresh(CANVAS, 0.0)
     assert sent[0].min() < 200
@@ -169,8 +171,10 @@ def test_beside_the_magnified_one_is_the_films_own_picture_where_a_camera_filmed
     away = camera.viewmat.copy()
     away[0, 3] += 0.3
     assert scene.filmed.seen_by(replace(camera, viewmat=away), 0.1) is None
-    canvas = Canvas((5.0, 5.0, 5.0), (1.0, 0, 0, 0), 0.6, 900, 300)
-    beside = picture_of(painter, Look(Magnification.of(20.0), beside=True), 0.1, canvas, (900, 300))
+    canvas = Viewport((5.0, 5.0, 5.0), (1.0, 0, 0, 0), 0.6, 900, 300)
+    beside = picture_of(
+        painter, DisplaySettings(Magnification.of(20.0), beside=True), 0.1, canvas, (900, 300)
+    )
     assert beside.shape == (300, 900, 3)
     assert (beside[:20, :120] == 0).any(), "which of the two it is is written"
 
@@ -186,7 +190,7 @@ def test_a_waveform_goes_up_where_its_values_do():
 
 
 def test_without_loop_it_stays_at_the_end_and_plays_again_from_the_start():
-    clock = Clock(2.0, since=100.0, playing=True, loop=False)
+    clock = PlaybackClock(2.0, since=100.0, playing=True, loop=False)
     assert clock.at(110.0) == 2.0
     assert not clock.running(110.0)
     again = clock.changed(110.0, playing=True)
@@ -194,7 +198,7 @@ def test_without_loop_it_stays_at_the_end_and_plays_again_from_the_start():
 
 
 def test_a_pause_holds_the_moment():
-    clock = Clock(2.0, since=0.0, playing=True).changed(0.7, playing=False)
+    clock = PlaybackClock(2.0, since=0.0, playing=True).changed(0.7, playing=False)
     assert clock.at(5.0) == pytest.approx(0.7)
     assert clock.changed(6.0, playing=True).at(6.2) == pytest.approx(0.9)
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.codec.trial import Probe, Tone, is_lossless, probe, through
+from tg4mm.capture.codec.trial import CodecSample, MeasuredTone, is_lossless, probe, through
 from tg4mm.capture.video import av_module
 from tg4mm.core.errors import Tg4mmError
 
@@ -48,7 +48,7 @@ class Loss:
 def codec_losses(
     video: Path,
     regions: Sequence[np.ndarray],
-    tones: Sequence[Sequence[Tone]],
+    tones: Sequence[Sequence[MeasuredTone]],
     fps: float | None = None,
     start_s: float = 0.0,
     repeats: Sequence[int] = (),
@@ -112,9 +112,9 @@ def codec_losses(
 
 
 def _tested(
-    made: Probe,
+    made: CodecSample,
     masks: Sequence[np.ndarray],
-    tones: Sequence[Sequence[Tone]],
+    tones: Sequence[Sequence[MeasuredTone]],
     times: np.ndarray,
     seed: int,
     without_between: bool,
@@ -132,7 +132,10 @@ def _tested(
         gains, length = [np.ones(len(t)) for t in of_group], min(frames, len(times))
         for again in range(2):
             scaled = [
-                [Tone(t.frequency_hz, t.phasor / np.clip(g, *_GAINS)) for t, g in zip(ts, gs, strict=True)]
+                [
+                    MeasuredTone(t.frequency_hz, t.phasor / np.clip(g, *_GAINS))
+                    for t, g in zip(ts, gs, strict=True)
+                ]
                 for ts, gs in zip(of_group, gains, strict=True)
             ]
             inside, shown = [masks[k] for k in group], times[:length]
@@ -157,7 +160,7 @@ def _loss(gain: float, deviation: float) -> Loss:
     return Loss(gain, deviation, why)
 
 
-def _by_pictures(made: Probe, mask: np.ndarray, unasked: str) -> Loss:
+def _by_pictures(made: CodecSample, mask: np.ndarray, unasked: str) -> Loss:
     inside = mask > 0.5
     luma = made.luma[:, inside].astype(np.float32)
     equal = float((luma[1:] == luma[:-1]).mean())

@@ -32,7 +32,7 @@ _LOSSLESS = {"ffv1", "huffyuv", "ffvhuff", "utvideo", "rawvideo", "magicyuv", "l
 
 
 @dataclass(frozen=True)
-class Probe:
+class CodecSample:
     """A part of a video as decoded."""
 
     # [F, 3 H / 2, W] uint8, or uint16 of 10 bits, brightness and below it both colours, not turned
@@ -57,7 +57,7 @@ class Probe:
 
 
 @dataclass(frozen=True)
-class Tone:
+class MeasuredTone:
     """A measured vibration of one region."""
 
     frequency_hz: float  # of the pictures' clock
@@ -65,9 +65,9 @@ class Tone:
 
 
 def through(
-    made: Probe,
+    made: CodecSample,
     masks: Sequence[np.ndarray],
-    tones: Sequence[Sequence[Tone]],
+    tones: Sequence[Sequence[MeasuredTone]],
     times: np.ndarray,
     seed: int,
     without_between: bool,
@@ -117,7 +117,7 @@ def _grown(masks: Sequence[np.ndarray]) -> list[np.ndarray]:
     ]
 
 
-def _noise(made: Probe, mean: np.ndarray) -> np.ndarray:
+def _noise(made: CodecSample, mean: np.ndarray) -> np.ndarray:
     """[3 H / 2, W]: standard deviation of the key frames about the mean, smoothed, brightness and colours apart."""
     n, height = len(made.planes), made.luma.shape[1]
     keys = made.planes[made.is_key] if made.is_key.any() else made.planes[:1]
@@ -126,13 +126,13 @@ def _noise(made: Probe, mean: np.ndarray) -> np.ndarray:
     return np.sqrt(np.concatenate([gaussian_filter(part, _NOISE_PX) for part in parts]))
 
 
-def _series(tones: Sequence[Tone], times: np.ndarray, axis: int) -> np.ndarray:
+def _series(tones: Sequence[MeasuredTone], times: np.ndarray, axis: int) -> np.ndarray:
     """[F] pixels."""
     waves = [(t.phasor[axis] * np.exp(2j * np.pi * t.frequency_hz * times)).real for t in tones]
     return np.sum(waves, axis=0)
 
 
-def _encode(path: Path, made: Probe, pictures: Iterable[np.ndarray]) -> None:
+def _encode(path: Path, made: CodecSample, pictures: Iterable[np.ndarray]) -> None:
     av = av_module()
     with av.open(file_url(path), "w") as container:
         stream = container.add_stream(made.encoder, rate=made.rate)
@@ -170,7 +170,7 @@ def shifts_of(seen: np.ndarray, masks: Sequence[np.ndarray], times: np.ndarray) 
     return [motion.whole for motion in found]
 
 
-def gain_of(u: np.ndarray, tones: Sequence[Tone], j: int, times: np.ndarray) -> tuple[float, float]:
+def gain_of(u: np.ndarray, tones: Sequence[MeasuredTone], j: int, times: np.ndarray) -> tuple[float, float]:
     """Return the gain of tone j in the shifts u [F, 2].
 
     Along its direction, with all tones fitted, and the error that noise makes.
@@ -195,7 +195,7 @@ def gain_of(u: np.ndarray, tones: Sequence[Tone], j: int, times: np.ndarray) -> 
     return gain, float(np.sqrt(2 / len(times) * (power * direction**2).sum() / size))
 
 
-def probe(path: Path, start_s: float, most: int) -> Probe | None:
+def probe(path: Path, start_s: float, most: int) -> CodecSample | None:
     """`most` frames from start_s on; None where it is no video of 8 or 10 bits with half the colour, or of odd size.
 
     Raises Tg4mmError where PyAV is absent, OSError and FFmpegError where the file cannot be read.
@@ -225,7 +225,7 @@ def probe(path: Path, start_s: float, most: int) -> Probe | None:
     with opened(path) as container:
         packets = [p.size for p in container.demux(stream_of(container)) if p.size]
     kind_of = np.array(kinds)
-    return Probe(
+    return CodecSample(
         np.stack(planes), kind_of == ALONE, kind_of == BETWEEN, rate, 8 * float(np.mean(packets)) * float(rate),
         _encoder(codec, settings), _settings(settings), orientation,
     )  # fmt: skip
@@ -265,7 +265,7 @@ def _settings(text: str) -> dict[str, str]:
     return {key.replace("_", "-"): value for key, value in found.items()}
 
 
-def rate_options(made: Probe) -> dict[str, str]:
+def rate_options(made: CodecSample) -> dict[str, str]:
     """Return encoder options that reproduce the quality and the frame kinds."""
     settings = made.settings
     options = {key: settings[key] for key in _OPTIONS if key in settings}

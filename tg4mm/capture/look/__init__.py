@@ -6,17 +6,17 @@ for line in look("pump.mp4").vibrations:
 """
 
 from tg4mm.capture.look.look import look, look_at_pictures
-from tg4mm.capture.look.model import Found, Look, LookLine, MovingRegion, Tone
-from tg4mm.capture.look.reading import Picture
+from tg4mm.capture.look.model import FlickerLine, Look, LookLine, LookSummary, MovingRegion
+from tg4mm.capture.look.reading import GreyPicture
 from tg4mm.capture.look.recording import video_pictures
 
 __all__ = [
-    "Found",
+    "FlickerLine",
+    "GreyPicture",
     "Look",
     "LookLine",
+    "LookSummary",
     "MovingRegion",
-    "Picture",
-    "Tone",
     "look",
     "look_at_pictures",
     "video_pictures",

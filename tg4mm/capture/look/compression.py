@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.codec import Loss, Tone, before_compression, codec_losses
-from tg4mm.capture.look.model import Found, LookLine
+from tg4mm.capture.codec import Loss, MeasuredTone, before_compression, codec_losses
+from tg4mm.capture.look.model import LookLine, LookSummary
 
 _DECAYING = 2 / 3  # of its first amplitude: the mean of an exponential decay, weighted as least squares does
 
 
 def with_losses(
-    found: Found, video: Path, fps: float, start_s: float = 0.0, repeats: Sequence[int] = ()
+    found: LookSummary, video: Path, fps: float, start_s: float = 0.0, repeats: Sequence[int] = ()
 ) -> tuple[LookLine, ...]:
     """Return the lines, those without a mark corrected for compression (`codec_losses`)."""
     lines = found.vibrations
@@ -34,9 +34,9 @@ def with_losses(
     return tuple(_with_loss(line, known[id(line)]) if id(line) in known else line for line in found.lines)
 
 
-def _tone(line: LookLine) -> Tone:
+def _tone(line: LookLine) -> MeasuredTone:
     size = line.amplitude_px * (_DECAYING if line.damping is not None else 1.0)
-    return Tone(line.hz, size * np.array(line.direction) * np.exp(1j * line.phase_rad))
+    return MeasuredTone(line.hz, size * np.array(line.direction) * np.exp(1j * line.phase_rad))
 
 
 def _with_loss(line: LookLine, loss: Loss) -> LookLine:

@@ -14,7 +14,7 @@ from fractions import Fraction
 import numpy as np
 
 from tg4mm.capture.look.model import LookLine
-from tg4mm.capture.look.scene import Scene
+from tg4mm.capture.look.scene import CellScene
 
 # source pictures a frame: of 24, 25 and 30 (50 and 60) any in any, 24 in 60, 15 in 24 and 25
 _SHARES = ((4, 5), (5, 6), (24, 25), (25, 24), (6, 5), (5, 4), (2, 5), (5, 8), (3, 5))
@@ -75,7 +75,7 @@ class Conversion:
         )
 
 
-def conversion_of(scene: Scene, hz: float) -> Conversion | None:
+def conversion_of(scene: CellScene, hz: float) -> Conversion | None:
     """Return how the recording was converted, by its strongest line; None where that does not show it."""
     best, found = _SURE, None
     frames, wave, series = (
@@ -136,7 +136,7 @@ def _conversions(rate: float, patterns: Sequence[int]) -> Iterator[Conversion]:
                 yield Conversion("fields", share, rate, fields, (np.full(n, 0.5),) * 2)
 
 
-def _series(scene: Scene, hz: float) -> np.ndarray:
+def _series(scene: CellScene, hz: float) -> np.ndarray:
     """[F]: the shift of all cells, weighted by what they show of a line, less the nuisance columns."""
     wave = np.exp(2j * np.pi * hz * scene.times_s)
     shift = np.nan_to_num(scene.series.shift[:, scene.usable])

@@ -11,18 +11,18 @@ from tg4mm.capture.look.baseline import BLOCK
 from tg4mm.capture.look.compression import with_losses
 from tg4mm.capture.look.conversion import conversion_of, with_conversion
 from tg4mm.capture.look.marks import marked
-from tg4mm.capture.look.model import GlobalMotion, Look, LookLine, MovingRegion, Tone
+from tg4mm.capture.look.model import FlickerLine, GlobalMotion, Look, LookLine, MovingRegion
 from tg4mm.capture.look.peaks import CHANCE
 from tg4mm.capture.look.place import Placed, cell_numbers, placed
-from tg4mm.capture.look.reading import LARGE_CELL, CellSeries, Picture, read_cells
+from tg4mm.capture.look.reading import LARGE_CELL, CellSeries, GreyPicture, read_cells
 from tg4mm.capture.look.recording import read_recording
 from tg4mm.capture.look.regions import region_looks, with_lines
 from tg4mm.capture.look.rows import by_light
-from tg4mm.capture.look.scene import Scene, against_background, scene_of
-from tg4mm.capture.look.search import Line, Search
+from tg4mm.capture.look.scene import CellScene, against_background, scene_of
+from tg4mm.capture.look.search import PoolLine, Search
 from tg4mm.capture.look.spectra import tones_of
 from tg4mm.capture.look.zoom import left_of
-from tg4mm.capture.sfm.clip import WHOLE, Window
+from tg4mm.capture.sfm.clip import WHOLE, TimeWindow
 from tg4mm.capture.stacks import is_stack
 from tg4mm.core.lines import Line as CoreLine
 from tg4mm.core.lines import find_lines, fit_lines
@@ -42,7 +42,7 @@ _CLIPPED, _CLIPPED_SHARE = 250, 0.02  # grey levels that are clipped but for noi
 def look(
     video: Path | str,
     fps: float | None = None,
-    window: Window = WHOLE,
+    window: TimeWindow = WHOLE,
     regions: Regions | None = None,
     keep_duplicates: bool = False,
 ) -> Look:
@@ -76,7 +76,7 @@ def _is_small(region: Region) -> bool:
     return float(np.ptp(region.corners, axis=0).min()) < _FEW * LARGE_CELL
 
 
-def look_at_pictures(pictures: Iterable[Picture], where: str) -> Look:
+def look_at_pictures(pictures: Iterable[GreyPicture], where: str) -> Look:
     """Return `look`'s result for any pictures of one fixed camera, in order."""
     return look_at(read_cells(pictures, where))
 
@@ -160,13 +160,13 @@ def _moved(search: Search) -> np.ndarray:
     return moved
 
 
-def _lines(search: Search, line: Line) -> list[LookLine]:
+def _lines(search: Search, line: PoolLine) -> list[LookLine]:
     """Return a line's entries: where it is largest, then parts that move differently at its frequency."""
     reported = _reported(search, line)
     return [_line(search, line, reported, where) for where in placed(search, line)]
 
 
-def _line(search: Search, line: Line, reported: CoreLine, where: Placed) -> LookLine:
+def _line(search: Search, line: PoolLine, reported: CoreLine, where: Placed) -> LookLine:
     grid = search.scene.grid
     cells = where.moving if len(where.moving) else where.region
     return LookLine(
@@ -188,7 +188,7 @@ def _line(search: Search, line: Line, reported: CoreLine, where: Placed) -> Look
     )
 
 
-def _reported(search: Search, line: Line) -> CoreLine:
+def _reported(search: Search, line: PoolLine) -> CoreLine:
     """Return the line with all tests of `tg4mm.core.lines`; a steady one if the codec may have caused its change.
 
     A decay is estimated from frames that keep small motion: the loss of the others would look like damping.
@@ -215,15 +215,17 @@ def _is_off_mirror(hz: float, times_s: np.ndarray, duration_s: float) -> bool:
     return bool(apart > _APART / duration_s)
 
 
-def _result(scene: Scene, search: Search, swings: tuple[GlobalMotion, ...], lines: list[LookLine]) -> Look:
+def _result(
+    scene: CellScene, search: Search, swings: tuple[GlobalMotion, ...], lines: list[LookLine]
+) -> Look:
     grid, series = scene.grid, scene.series
     cells = max(len(search.pools[0]), 1) if search.pools else 1
     whole = [tone for k in (0, 1) for tone in tones_of(scene.whole[:, k], scene.times_s, scene.nuisance)]
     return Look(
         lines=tuple(lines),
         movers=movers_of(scene),
-        light=tuple(Tone(*line[:3]) for line in scene.light),
-        whole=tuple(Tone(*tone) for tone in whole),
+        light=tuple(FlickerLine(*line[:3]) for line in scene.light),
+        whole=tuple(FlickerLine(*tone) for tone in whole),
         hz=search.hz,
         composite=search.composite,
         composite_floor=float(stats.gamma.isf(CHANCE / len(search.hz), 2 * cells) / (2 * cells)),
@@ -243,11 +245,11 @@ def _result(scene: Scene, search: Search, swings: tuple[GlobalMotion, ...], line
     )
 
 
-def swings_of(scene: Scene) -> Iterator[GlobalMotion]:
+def swings_of(scene: CellScene) -> Iterator[GlobalMotion]:
     """Yield the whole picture's motion besides its shift, zoom and roll, and the light's level where it changes."""
     for shape, course in zip(scene.shapes, scene.courses.T, strict=True):
         away = course - np.median(course)
-        tones = tuple(Tone(*tone) for tone in tones_of(course, scene.times_s, scene.nuisance))
+        tones = tuple(FlickerLine(*tone) for tone in tones_of(course, scene.times_s, scene.nuisance))
         at = int(np.abs(away).argmax())
         yield GlobalMotion(shape, float(np.abs(away).max()), float(scene.times_s[at]), tones)
     rows = np.log(np.maximum(scene.series.row_means, 1.0))
@@ -263,12 +265,12 @@ def swings_of(scene: Scene) -> Iterator[GlobalMotion]:
 _FEWEST, _LONGEST = 8, 2  # cells × frames of a passing object, and frames that it takes at least
 
 
-def movers_of(scene: Scene) -> tuple[MovingRegion, ...]:
+def movers_of(scene: CellScene) -> tuple[MovingRegion, ...]:
     """Return independently moving regions, such as wheels and leaves, then passing objects."""
     return (*_all_along(scene), *_passing(scene))
 
 
-def _all_along(scene: Scene) -> Iterator[MovingRegion]:
+def _all_along(scene: CellScene) -> Iterator[MovingRegion]:
     for cells, tones in _by_themselves(scene):
         hz, deviation, _ = min(tones, key=lambda tone: tone[1], default=(None, None, 0.0))
         yield MovingRegion(
@@ -276,7 +278,7 @@ def _all_along(scene: Scene) -> Iterator[MovingRegion]:
         )
 
 
-def _by_themselves(scene: Scene) -> Iterator[tuple[np.ndarray, list[tuple[float, float, float]]]]:
+def _by_themselves(scene: CellScene) -> Iterator[tuple[np.ndarray, list[tuple[float, float, float]]]]:
     """Yield connected cells [C] bool that move independently, and the lines of their brightness and misfit."""
     labels, _ = ndimage.label(scene.grid.picture(scene.masks.core), BLOCK)
     for k in range(1, labels.max() + 1):
@@ -287,7 +289,7 @@ def _by_themselves(scene: Scene) -> Iterator[tuple[np.ndarray, list[tuple[float,
         yield cells, [tone for tones in both for tone in tones]
 
 
-def _passing(scene: Scene) -> Iterator[MovingRegion]:
+def _passing(scene: CellScene) -> Iterator[MovingRegion]:
     passed, size = scene.grid.picture(scene.masks.passed), scene.grid.size
     labels, _ = ndimage.label(passed, np.ones((3, 3, 3)))
     for k, where in enumerate(ndimage.find_objects(labels), 1):

@@ -67,7 +67,7 @@ class MovingRegion:
 
 
 @dataclass(frozen=True)
-class Tone:
+class FlickerLine:
     """A line of the light or of the picture as a whole."""
 
     hz: float
@@ -82,7 +82,7 @@ class GlobalMotion:
     kind: str  # "zoom" or "roll" about its middle, or "light": its level
     largest: float  # pixels in the corners from their median; of light, relative, from its least to its most
     at_s: float  # of the largest; of light, of its fastest change
-    tones: tuple[Tone, ...] = ()  # its lines, pixels in the corners
+    tones: tuple[FlickerLine, ...] = ()  # its lines, pixels in the corners
 
 
 @dataclass(frozen=True)
@@ -95,13 +95,13 @@ class Smallest:
 
 
 @dataclass(frozen=True)
-class Found:
+class LookSummary:
     """The result of one pass over a recording of a fixed camera; `record.py` writes and reads it."""
 
     lines: tuple[LookLine, ...]  # the largest amplitude first, marked ones last
     movers: tuple[MovingRegion, ...]
-    light: tuple[Tone, ...]
-    whole: tuple[Tone, ...]  # of the whole picture, which is the camera's or everything's
+    light: tuple[FlickerLine, ...]
+    whole: tuple[FlickerLine, ...]  # of the whole picture, which is the camera's or everything's
     hz: np.ndarray  # [K]
     composite: np.ndarray  # [K] mean over cells of power over noise: 1 where nothing vibrates
     composite_floor: float  # that one of a hundred recordings of noise exceeds anywhere
@@ -147,7 +147,7 @@ class RegionLook:
 
 
 @dataclass(frozen=True)
-class Look(Found):
+class Look(LookSummary):
     """The result with every cell's series."""
 
     hidden: np.ndarray  # [F, rows, columns] bool: something passes there

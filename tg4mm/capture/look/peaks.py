@@ -22,7 +22,7 @@ _UNDERFLOW = 1e-250
 
 
 @dataclass(frozen=True)
-class Peak:
+class PoolPeak:
     """A position in an aggregation window and a frequency there."""
 
     pool: int
@@ -35,7 +35,7 @@ class Peak:
 
 
 @dataclass(frozen=True)
-class Shape:
+class PoolShape:
     """Columns of a pool and the weights that make one series of them."""
 
     columns: np.ndarray  # [m]
@@ -57,7 +57,7 @@ Spectra = dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
-class Candidates:
+class PeakSearch:
     """The pools of a recording and the frequencies at which lines are still sought."""
 
     pools: Sequence[AggregationWindow]
@@ -67,11 +67,11 @@ class Candidates:
     tests: int  # places × frequencies of the whole record
     spectra: Spectra = field(default_factory=dict)  # of windows: kept by who changes the residuals
 
-    def strongest(self) -> Peak | None:
+    def strongest(self) -> PoolPeak | None:
         """Return the most significant peak, if noise causes such a peak in at most one of a hundred recordings."""
         return self._of_record() or self._of_windows()
 
-    def _of_record(self) -> Peak | None:
+    def _of_record(self) -> PoolPeak | None:
         best: tuple[float, int, int, int, float] | None = None
         for j, pool in enumerate(self.pools):
             statistics = pool.statistics()
@@ -90,12 +90,12 @@ class Candidates:
         _, j, row, place, value = best
         pool = self.pools[j]
         cut = 2 * float(stats.f.isf(CHANCE / self.tests, 4, pool.freedom[row]))
-        return Peak(j, place, float(self.hz[row]), value, cut, pool.amplitudes[row])
+        return PoolPeak(j, place, float(self.hz[row]), value, cut, pool.amplitudes[row])
 
-    def _of_windows(self) -> Peak | None:
+    def _of_windows(self) -> PoolPeak | None:
         """Return the most significant peak in windows of T/4 and T/12, for short vibrations."""
         frames, tests = len(self.times_s), self.tests
-        best: tuple[float, Peak] | None = None
+        best: tuple[float, PoolPeak] | None = None
         for length in (frames // part for part in _PARTS if frames // part >= _FEWEST):
             for first in range(0, frames - length + 1, length // 2):
                 for j, pool in enumerate(self.pools):
@@ -109,7 +109,7 @@ class Candidates:
 
     def _in_window(
         self, j: int, pool: AggregationWindow, rows: slice
-    ) -> tuple[int, tuple[float, Peak] | None]:
+    ) -> tuple[int, tuple[float, PoolPeak] | None]:
         """The number of tests, and the least chance with its peak."""
         times = self.times_s[rows]
         n, share = len(times), len(times) / len(self.times_s)
@@ -136,11 +136,11 @@ class Candidates:
         row = int(np.flatnonzero(usable)[r[k]])
         cut = 2 * float(stats.f.isf(CHANCE / self.tests, 4, _WINDOW_FREEDOM))
         amplitudes = spectrum(pool.residual[rows], times)[1][row] * share**0.5
-        peak = Peak(j, int(places[k]), float(hz[row]), float(values[k]), cut, amplitudes, share)
+        peak = PoolPeak(j, int(places[k]), float(hz[row]), float(values[k]), cut, amplitudes, share)
         return statistics.size, (float(chance[k]), peak)
 
 
-def shape_of(peak: Peak, floor: np.ndarray) -> Shape:
+def shape_of(peak: PoolPeak, floor: np.ndarray) -> PoolShape:
     """The mode's shape where the peak stands out, in one phase; weights are matched to it and to the noise."""
     above = np.abs(peak.values) ** 2 > _BEAM * floor
     above[[2 * peak.place, 2 * peak.place + 1]] = True
@@ -149,10 +149,10 @@ def shape_of(peak: Peak, floor: np.ndarray) -> Shape:
     phase = 0.5 * np.angle((values**2 / noise).sum())
     weights = np.real(values * np.exp(-1j * phase)) / noise
     weights = weights / (weights**2 * noise).sum()
-    return Shape(columns, weights, weights**2 * noise)
+    return PoolShape(columns, weights, weights**2 * noise)
 
 
-def beam_floor(pool: AggregationWindow, shape: Shape, row: int) -> float:
+def beam_floor(pool: AggregationWindow, shape: PoolShape, row: int) -> float:
     """Return the noise power of the shape's series at a frequency: its median with the common shape."""
     power = np.abs(pool.amplitudes[:, shape.columns] @ shape.weights) ** 2
     return float(np.median(power[4:]) / LOG2 * np.median(pool.floor[row] / np.median(pool.floor, 0)))

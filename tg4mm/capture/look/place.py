@@ -21,7 +21,7 @@ from tg4mm.capture.look.pools import AggregationWindow
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA
 from tg4mm.capture.look.rows import by_phases
 from tg4mm.capture.look.scene import lacks
-from tg4mm.capture.look.search import Line, Search, images
+from tg4mm.capture.look.search import PoolLine, Search, images
 from tg4mm.capture.look.spectra import LOG2, spectrum
 from tg4mm.capture.tracking.template import GAIN_ERROR
 
@@ -77,7 +77,7 @@ def cell_numbers(search: Search) -> np.ndarray:
     return np.asarray(corner[:, 0] * search.scene.grid.columns + corner[:, 1])
 
 
-def placed(search: Search, line: Line) -> list[Placed]:
+def placed(search: Search, line: PoolLine) -> list[Placed]:
     """Return region, amplitude and readout of a line, then of parts that move differently at its frequency.
 
     Cells that clearly show the line form parts that do not touch. A part is listed separately if its direction or phase
@@ -104,7 +104,7 @@ def placed(search: Search, line: Line) -> list[Placed]:
     return out
 
 
-def _differs(search: Search, line: Line, part: Placed, other: Placed) -> bool:
+def _differs(search: Search, line: PoolLine, part: Placed, other: Placed) -> bool:
     """Whether a part clearly moves in another direction or phase; rows that are read later are later in phase."""
     if part.amplitude_px < (_REAL_CODED if search.scene.patterns else _REAL) * part.deviation_px:
         return False
@@ -119,7 +119,7 @@ def _differs(search: Search, line: Line, part: Placed, other: Placed) -> bool:
 class _Placing:
     """Search for the region of a line; inside [P] bool: among these cells only."""
 
-    def __init__(self, search: Search, line: Line, inside: np.ndarray | None = None) -> None:
+    def __init__(self, search: Search, line: PoolLine, inside: np.ndarray | None = None) -> None:
         self.search, self.line = search, line
         self.basis = line.vibration.columns(search.times)
         self.products = self.basis.T @ self.basis

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from tg4mm.capture.look.baseline import QUANTISED
-from tg4mm.capture.look.scene import Scene
+from tg4mm.capture.look.scene import CellScene
 from tg4mm.capture.look.spectra import noise_floor, spectrum, without
 
 SIZES = (1, 2, 4, 8)  # cells a side
@@ -87,13 +87,13 @@ def _alike(seen: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(np.flatnonzero(seen[:, members[0]]), members) for members in groups]
 
 
-def pools_of(scene: Scene) -> list[AggregationWindow]:
+def pools_of(scene: CellScene) -> list[AggregationWindow]:
     """Return windows of all sizes that fit into the picture; none if no cell is usable."""
     pools = [_pool(scene, size) for size in SIZES if size <= min(scene.grid.rows, scene.grid.columns)]
     return [pool for pool in pools if len(pool)]
 
 
-def _pool(scene: Scene, size: int) -> AggregationWindow:
+def _pool(scene: CellScene, size: int) -> AggregationWindow:
     """The information-weighted mean motion of size × size cells at every place where half of them can be used."""
     grid, seen = scene.grid, scene.seen
     frames = len(scene.times_s)

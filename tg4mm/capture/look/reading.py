@@ -30,7 +30,7 @@ INTRA, FORWARD, BETWEEN = 1, 2, 3  # kinds of coded pictures, as FFmpeg numbers 
 
 
 @dataclass(frozen=True)
-class Picture:
+class GreyPicture:
     """One picture of a fixed camera."""
 
     grey: np.ndarray  # [H, W] uint8, or float32 of that range
@@ -74,10 +74,10 @@ def baseline_in(series: CellSeries) -> BaselineMisfit:
 
 
 def read_cells(
-    pictures: Iterable[Picture], where: str = "the recording", small_cells: bool = False
+    pictures: Iterable[GreyPicture], where: str = "the recording", small_cells: bool = False
 ) -> CellSeries:
     """All cells' series. Raises CaptureError where there are fewer than 24 pictures, or of several sizes."""
-    reader = _Reader(small_cells)
+    reader = _TemplateReader(small_cells)
     times: list[float] = []
     kinds: list[int] = []
     row_means: list[np.ndarray] = []
@@ -133,7 +133,7 @@ def _size(shape: tuple[int, ...]) -> str:
     return f"{shape[1]}×{shape[0]}"
 
 
-class _Reader:
+class _TemplateReader:
     """Templates, and the products of all pictures so far."""
 
     def __init__(self, small_cells: bool) -> None:

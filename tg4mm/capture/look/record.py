@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture.look.model import Found, GlobalMotion, LookLine, MovingRegion, Readout, Tone
+from tg4mm.capture.look.model import FlickerLine, GlobalMotion, LookLine, LookSummary, MovingRegion, Readout
 
 
-def to_record(found: Found) -> dict[str, Any]:
+def to_record(found: LookSummary) -> dict[str, Any]:
     """Convert to lists, numbers and texts; grids of cells become the numbers of those that are true."""
     return {
         "lines": [
@@ -34,7 +34,7 @@ def to_record(found: Found) -> dict[str, Any]:
     }
 
 
-def from_record(values: Mapping[str, Any]) -> Found:
+def from_record(values: Mapping[str, Any]) -> LookSummary:
     """Convert back from `to_record`."""
     rows, columns = values["grid"]
 
@@ -47,11 +47,11 @@ def from_record(values: Mapping[str, Any]) -> Found:
         LookLine(**_tuples(v) | {"cells": grid(v["cells"]), "region": grid(v["region"])})
         for v in values["lines"]
     ]
-    return Found(
+    return LookSummary(
         lines=tuple(lines),
         movers=tuple(MovingRegion(**_tuples(v)) for v in values["movers"]),
-        light=tuple(Tone(**v) for v in values["light"]),
-        whole=tuple(Tone(**v) for v in values["whole"]),
+        light=tuple(FlickerLine(**v) for v in values["light"]),
+        whole=tuple(FlickerLine(**v) for v in values["whole"]),
         hz=np.array(values["hz"]),
         composite=np.array(values["composite"]),
         composite_floor=values["composite_floor"],
@@ -61,7 +61,7 @@ def from_record(values: Mapping[str, Any]) -> Found:
         without_between=values.get("without_between", False),
         light_readout=Readout(**values["light_readout"]) if values.get("light_readout") else None,
         swings=tuple(
-            GlobalMotion(**v | {"tones": tuple(Tone(**t) for t in v["tones"])})
+            GlobalMotion(**v | {"tones": tuple(FlickerLine(**t) for t in v["tones"])})
             for v in values.get("swings", [])
         ),
         rows_s=values.get("rows_s", 0.0),

@@ -9,11 +9,11 @@ import numpy as np
 from tg4mm.capture.codec import is_lossless
 from tg4mm.capture.duplicates import DuplicateMeter
 from tg4mm.capture.frames import IMAGE_SUFFIXES
-from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, Picture, read_cells
+from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, GreyPicture, read_cells
 from tg4mm.capture.sfm.clip import (
     NAMES,
     WHOLE,
-    Window,
+    TimeWindow,
     check_numbers,
     frame_rate,
     is_regular,
@@ -36,7 +36,7 @@ from tg4mm.core.progress import Update, progress
 def read_recording(
     path: Path,
     fps: float | None = None,
-    window: Window = WHOLE,
+    window: TimeWindow = WHOLE,
     small_cells: bool = False,
     keep_duplicates: bool = False,
 ) -> tuple[CellSeries, tuple[int, ...]]:
@@ -90,14 +90,14 @@ def taken(
     return every, np.array([float(t) for t in regular_times(times, rate, info.tick)]), ()
 
 
-def _expected(info: VideoInfo, window: Window) -> int:
+def _expected(info: VideoInfo, window: TimeWindow) -> int:
     if not info.duration_s:
         return max(info.total, 1)
     seconds = min(window.stop_s, info.duration_s) - window.start_s
     return max(1, round(info.total * seconds / info.duration_s))
 
 
-def video_pictures(path: Path, fps: float | None = None, window: Window = WHOLE) -> Iterator[Picture]:
+def video_pictures(path: Path, fps: float | None = None, window: TimeWindow = WHOLE) -> Iterator[GreyPicture]:
     """A video's pictures with their own times, or those of a regular clock of `fps` pictures a second.
 
     In a lossless video prediction leaves no trace: every frame counts as coded alone.
@@ -107,10 +107,10 @@ def video_pictures(path: Path, fps: float | None = None, window: Window = WHOLE)
     lossless = is_lossless(path)
     for k, frame in enumerate(grey_frames(path, window.start_s, window.stop_s)):
         kind = INTRA if lossless or frame.is_alone else BETWEEN if frame.is_between else FORWARD
-        yield Picture(frame.grey, k / fps if fps else float(frame.time), kind)
+        yield GreyPicture(frame.grey, k / fps if fps else float(frame.time), kind)
 
 
-def _watched(pictures: Iterator[Picture], meter: DuplicateMeter, update: Update) -> Iterator[Picture]:
+def _watched(pictures: Iterator[GreyPicture], meter: DuplicateMeter, update: Update) -> Iterator[GreyPicture]:
     """Yield the pictures while updating the meter."""
     for k, picture in enumerate(pictures, 1):
         meter.add(picture.grey, picture.kind == INTRA, picture.kind == BETWEEN)
@@ -128,10 +128,10 @@ def _folder(path: Path, fps: float | None, small_cells: bool) -> CellSeries:
         raise CaptureError(f"{path}: a folder of pictures has no times; give --fps, pictures a second")
     check_numbers(files)
 
-    def pictures() -> Iterator[Picture]:
+    def pictures() -> Iterator[GreyPicture]:
         with progress("regions", len(files), "pictures", brief=True) as update:
             for k, file in enumerate(files):
-                yield Picture(grey_of(decode(file)), k / fps)
+                yield GreyPicture(grey_of(decode(file)), k / fps)
                 update(k + 1)
 
     return read_cells(pictures(), str(path), small_cells)

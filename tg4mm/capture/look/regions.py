@@ -9,7 +9,7 @@ from tg4mm.capture.look.baseline import LEAST_INFORMATION
 from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.model import LookLine, RegionLook
 from tg4mm.capture.look.reading import MEAN_OF
-from tg4mm.capture.look.scene import Scene
+from tg4mm.capture.look.scene import CellScene
 from tg4mm.capture.look.spectra import without
 from tg4mm.capture.tracking.template import FROZEN, GAIN_ERROR, false_information
 from tg4mm.core.errors import RegionError
@@ -21,12 +21,12 @@ _EDGE = 10.0  # times as uncertain as the best direction: beyond it a direction 
 _SEEN = 0.5  # of a region's information that a picture must show
 
 
-def region_looks(scene: Scene, regions: Iterable[Region]) -> tuple[RegionLook, ...]:
+def region_looks(scene: CellScene, regions: Iterable[Region]) -> tuple[RegionLook, ...]:
     """Return the result for every region. Raises RegionError where no cell lies in it, or none has texture."""
     return tuple(_looked(scene, region) for region in regions)
 
 
-def _cells(scene: Scene, region: Region) -> tuple[np.ndarray, bool]:
+def _cells(scene: CellScene, region: Region) -> tuple[np.ndarray, bool]:
     """[C] bool, and whether all of them lie inside the region."""
     size = scene.grid.size
     share = scene.grid.cut(region.mask(scene.series.size)[None])[:, 0].mean(1)
@@ -42,7 +42,7 @@ def _cells(scene: Scene, region: Region) -> tuple[np.ndarray, bool]:
     return chosen & scene.usable, bool((share[chosen] >= _WHOLE).all())
 
 
-def _looked(scene: Scene, region: Region) -> RegionLook:
+def _looked(scene: CellScene, region: Region) -> RegionLook:
     cells, is_inside = _cells(scene, region)
     information, seen = scene.information[cells], scene.seen[:, cells].astype(float)
     whole = information.sum(0)

@@ -12,10 +12,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from tg4mm.capture.look.model import Found, Readout
+from tg4mm.capture.look.model import LookSummary, Readout
 from tg4mm.capture.look.spectra import step
 
-_Some = TypeVar("_Some", bound=Found)
+_Some = TypeVar("_Some", bound=LookSummary)
 _MOST_S, _STEPS = 0.045, 181
 _GAIN = 8.0  # of log likelihood over rows that are read at once
 _SHARE = 0.05  # of a readout by phases, as codecs and edges turn them
@@ -111,7 +111,7 @@ def with_rows(found: _Some, readout_s: float) -> _Some:
     return replace(found, lines=lines, rows_s=readout_s)
 
 
-def readout_of(found: Found) -> Readout | None:
+def readout_of(found: LookSummary) -> Readout | None:
     """Return the readout from light, else the weighted mean over lines without a mark; None if unknown."""
     if found.light_readout is not None:
         return found.light_readout
@@ -129,7 +129,7 @@ def readout_of(found: Found) -> Readout | None:
     return Readout(float(mean), float((variance * max(spread, 1.0)) ** 0.5))
 
 
-def row_note(found: Found) -> str:
+def row_note(found: LookSummary) -> str:
     """Return a note on phases at different heights and the option that would explain them; empty if consistent."""
     estimate = readout_of(found)
     if estimate is None or abs(estimate.seconds - found.rows_s) < max(_LEAST_S, 2 * estimate.deviation_s):

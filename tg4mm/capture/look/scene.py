@@ -57,7 +57,7 @@ class Masks:
 
 
 @dataclass(frozen=True)
-class Scene:
+class CellScene:
     """Cells' shifts with their information, nuisance and background."""
 
     series: CellSeries
@@ -155,7 +155,7 @@ def _period(kind: np.ndarray) -> int:
     return period if period and (steps == period).mean() >= _REGULAR else 0
 
 
-def scene_of(series: CellSeries, edges: np.ndarray | None = None) -> Scene:
+def scene_of(series: CellSeries, edges: np.ndarray | None = None) -> CellScene:
     """Find masks, light and a first background of all cells that agree with each other.
 
     edges [C] bool: cells that show the edge of a vibrating object.
@@ -170,7 +170,7 @@ def scene_of(series: CellSeries, edges: np.ndarray | None = None) -> Scene:
     information = np.where(usable[:, None, None], information, 0)
     gain = np.where(~masks.hidden & usable, series.gain, np.nan)
     nuisance, light = _nuisance(series, gain)
-    scene = Scene(series, masks, usable, information, nuisance, light, _lost(series))
+    scene = CellScene(series, masks, usable, information, nuisance, light, _lost(series))
     return against_background(scene, usable)
 
 
@@ -346,7 +346,7 @@ def _median_of(gain: np.ndarray) -> np.ndarray:
     return out
 
 
-def against_background(scene: Scene, still: np.ndarray, all_still: bool = False) -> Scene:
+def against_background(scene: CellScene, still: np.ndarray, all_still: bool = False) -> CellScene:
     """Subtract the common shift of the cells `still` [C], and the camera's zoom and roll, from every cell's shift.
 
     Textured cells are weighted by area: weighted by texture, a vibrating one would be the background. Cells that
@@ -371,7 +371,7 @@ def against_background(scene: Scene, still: np.ndarray, all_still: bool = False)
     return replace(scene, relative=relative, whole=found[:, :2], shapes=shapes, courses=found[:, 2:])
 
 
-def _agrees(scene: Scene, still: np.ndarray, shift: np.ndarray, most: float) -> np.ndarray:
+def _agrees(scene: CellScene, still: np.ndarray, shift: np.ndarray, most: float) -> np.ndarray:
     """[C] bool: cells whose scatter, over their noise, is at most so many times that of those that are `still`."""
     covariance = shift_covariance(scene.series)
     first = whole_shift(np.where(still[None, :, None], shift, np.nan), covariance)

@@ -12,9 +12,18 @@ import numpy as np
 from scipy import stats
 
 from tg4mm.capture.look.model import Smallest
-from tg4mm.capture.look.peaks import CHANCE, LOWEST, Candidates, Peak, Shape, Spectra, beam_floor, shape_of
+from tg4mm.capture.look.peaks import (
+    CHANCE,
+    LOWEST,
+    PeakSearch,
+    PoolPeak,
+    PoolShape,
+    Spectra,
+    beam_floor,
+    shape_of,
+)
 from tg4mm.capture.look.pools import AggregationWindow, pools_of
-from tg4mm.capture.look.scene import PATTERNS, Scene
+from tg4mm.capture.look.scene import PATTERNS, CellScene
 from tg4mm.capture.look.spectra import spectrum
 from tg4mm.core.lines import Line as Vibration
 from tg4mm.core.lines import fit_line_near
@@ -29,14 +38,14 @@ _IMAGE_SURE = 10.0  # times weaker than a line it may be an image of
 
 
 @dataclass
-class Line:
+class PoolLine:
     """A detected line, its mode's shape, and its part in every window."""
 
     vibration: Vibration
     statistic: float  # power over noise, summed over two axes: χ² / 2 of 4 degrees of freedom where all rests
     cut: float  # the statistic that noise alone exceeds once in a hundred recordings
     pool: int
-    shape: Shape
+    shape: PoolShape
     noise: float  # standard deviation of the shape's series
     taken: list[np.ndarray] = field(default_factory=list)  # of each pool [B, M]: coefficients of `columns`
     plain: list[np.ndarray] = field(default_factory=list)  # of each pool [2, M]: cosine and sine
@@ -45,10 +54,10 @@ class Line:
 class Search:
     """The lines of a scene, and its windows without them."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: CellScene) -> None:
         self.scene, self.times = scene, scene.times_s
         self.pools = pools_of(scene)
-        self.lines: list[Line] = []
+        self.lines: list[PoolLine] = []
         self.hz = spectrum(self.times[:, None] * 0, self.times)[0]
         d, top = scene.duration, 0.5 / scene.dt
         self.allowed = (self.hz >= LOWEST / d) & (self.hz <= top - 0.5 / d)
@@ -90,14 +99,14 @@ class Search:
 
     def _find(self) -> None:
         for _ in range(MOST):
-            peak = Candidates(
+            peak = PeakSearch(
                 self.pools, self.times, self.hz, self._open, self._tests, self._spectra
             ).strongest()
             if peak is None:
                 return
             self._judge(peak)
 
-    def _judge(self, peak: Peak) -> None:
+    def _judge(self, peak: PoolPeak) -> None:
         """Accept the peak as a line; else raise the noise around it, or close its frequency."""
         pool, scene = self.pools[peak.pool], self.scene
         row = self.bin_of(peak.hz)
@@ -125,7 +134,7 @@ class Search:
             self._tries[key] -= int(statistic > _CLEAR * peak.cut)
             self._raise(peak, vibration.hz, max(wander, 2.0), statistic > _CLEAR * peak.cut)
             return
-        self.lines.append(Line(vibration, statistic, peak.cut, peak.pool, shape, noise))
+        self.lines.append(PoolLine(vibration, statistic, peak.cut, peak.pool, shape, noise))
         self._take_off()
         self._spectra.clear()
         for each in self.pools:
@@ -160,7 +169,7 @@ class Search:
             abs(vibration.hz - o.hz) < max(resolution, (rate + abs(o.decay_per_s)) / np.pi) for o in others
         )
 
-    def _raise(self, peak: Peak, hz: float, factor: float, alone: bool = False) -> None:
+    def _raise(self, peak: PoolPeak, hz: float, factor: float, alone: bool = False) -> None:
         """Raise the noise floor by a factor around a frequency and place, or at the place alone."""
         around = np.flatnonzero((np.abs(self.hz - hz) < _WANDER_BINS / self.scene.duration) & self.allowed)
         here = self.pools[peak.pool]
@@ -172,7 +181,7 @@ class Search:
             pool.raised[np.ix_(around, columns)] *= factor
             pool.floor[np.ix_(around, columns)] *= factor
 
-    def _support(self, peak: Peak, vibration: Vibration, row: int) -> float:
+    def _support(self, peak: PoolPeak, vibration: Vibration, row: int) -> float:
         """Return the line's statistic in a place's cells without the strongest, or around a single cell."""
         cells, here = self.pools[0], self.pools[peak.pool]
         offset = cells.corner - here.corner[peak.place]
@@ -234,7 +243,7 @@ class Search:
             self._take_off(pools)
         self._take_off()
 
-    def series_of(self, line: Line) -> tuple[np.ndarray, np.ndarray]:
+    def series_of(self, line: PoolLine) -> tuple[np.ndarray, np.ndarray]:
         """Return the series [F] of a line's shape without the other lines, and [F] bool: where enough of it is seen."""
         pool = self.pools[line.pool]
         fitted = self.columns(line.vibration) @ line.taken[line.pool]
@@ -243,7 +252,7 @@ class Search:
         return line.shape.series(pool.residual + fitted, pool.seen)
 
 
-def _least_support(peak: Peak) -> float:
+def _least_support(peak: PoolPeak) -> float:
     """Return the least support at one rate of false lines, for the whole record or for half-overlapping windows."""
     if peak.window is None:
         return _SUPPORT

@@ -44,7 +44,7 @@ DATASET = ("scene.json", "transforms*.json", "*/transforms_*.json", "sparse/imag
 
 
 @dataclass(frozen=True)
-class Window:
+class TimeWindow:
     """The time window used of every recording, seconds since its first frame."""
 
     start_s: float = 0.0
@@ -56,7 +56,7 @@ class Window:
         return self.start_s <= 0 and math.isinf(self.stop_s)
 
 
-WHOLE = Window()
+WHOLE = TimeWindow()
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Clip:
     path: Path  # folder or video
     pictures: tuple[Path, ...] = ()  # of a folder
     repeats: frozenset[int] = frozenset()  # frames of a video's window that are left out
-    window: Window | None = None  # which part of a video the clip is, where another clip is of it, too
+    window: TimeWindow | None = None  # which part of a video the clip is, where another clip is of it, too
 
     def without(self, rows: Iterable[int]) -> "Clip":
         """The clip less some of its pictures, by their rows."""
@@ -104,7 +104,7 @@ class Frame:
     is_alone: bool = True  # coded without regard to other frames
 
 
-def clip_frames(clip: Clip, window: Window = WHOLE) -> Iterator[Frame]:
+def clip_frames(clip: Clip, window: TimeWindow = WHOLE) -> Iterator[Frame]:
     """The clip's pictures one by one. Raises CaptureError where one cannot be decoded."""
     if clip.is_video:
         every = enumerate(video_frames(clip.path, window.start_s, window.stop_s))
@@ -248,7 +248,7 @@ def sharp_rows(sharpness: np.ndarray, most: int) -> np.ndarray:
 
 
 def extract_frames(
-    clip: Clip, folder: Path, window: Window = WHOLE, rows: Iterable[int] | None = None, total: int = 0
+    clip: Clip, folder: Path, window: TimeWindow = WHOLE, rows: Iterable[int] | None = None, total: int = 0
 ) -> tuple[Path, ...]:
     """folder/00000.png …, the frames `rows` of a clip (None: all of its `total`); those there are kept.
 

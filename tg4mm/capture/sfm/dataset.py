@@ -11,7 +11,7 @@ import numpy as np
 from tg4mm.capture.frames import index_of
 from tg4mm.capture.model import SurfacePoints
 from tg4mm.capture.points import write_points
-from tg4mm.capture.sfm.clip import WHOLE, Clip, Frame, Window, clip_frames, save_png
+from tg4mm.capture.sfm.clip import WHOLE, Clip, Frame, TimeWindow, clip_frames, save_png
 from tg4mm.capture.sfm.survey import Survey
 from tg4mm.capture.sfm.undistort import Lens
 from tg4mm.capture.video import HAIR_S
@@ -34,7 +34,7 @@ class Track:
     viewmats: np.ndarray  # [T, 4, 4] world-to-camera, OpenCV axes
     times_s: np.ndarray | None = None  # [T] seconds on its own clock; None: of the scene at rest
     rows: np.ndarray | None = None  # [T] which of the clip's pictures; None: all
-    window: Window = WHOLE
+    window: TimeWindow = WHOLE
     may_test: bool = False  # whether it may be held out as a test camera
 
     def __len__(self) -> int:
@@ -193,7 +193,7 @@ VIEWMAT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 def write_flat(
-    out: Path, clip: Clip, survey: Survey, times_s: np.ndarray, window: Window, scene: dict[str, Any]
+    out: Path, clip: Clip, survey: Survey, times_s: np.ndarray, window: TimeWindow, scene: dict[str, Any]
 ) -> int:
     """Write the clip as a tree of timesteps seen from the origin along +y, the scene being the plane y = 1.
 

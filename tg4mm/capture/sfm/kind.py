@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.sfm.clip import FEWEST, SWEEP, Clip, Sources, Window, clip_frames
+from tg4mm.capture.sfm.clip import FEWEST, SWEEP, Clip, Sources, TimeWindow, clip_frames
 from tg4mm.capture.sfm.config import SfmConfig
 from tg4mm.capture.sfm.defects import is_fixed
 from tg4mm.capture.sfm.steadiness import FIXED_PX, FIXED_SHARE, ShiftMeter, reduced, runs
@@ -194,15 +194,15 @@ def divided(sources: Sources, surveys: Sequence[Survey], config: SfmConfig) -> D
 class Standing:
     """Seconds since the video's first frame."""
 
-    stands: Window
-    walks: Window
+    stands: TimeWindow
+    walks: TimeWindow
 
     def __str__(self) -> str:
         walk, stand = (f"{w.start_s:.2f} to {w.stop_s:.2f} s" for w in (self.walks, self.stands))
         return f"the camera walks from {walk} and stands from {stand}"
 
 
-def standing(clip: Clip, survey: Survey, window: Window) -> Standing | None:
+def standing(clip: Clip, survey: Survey, window: TimeWindow) -> Standing | None:
     """The longest part of a video in which its camera stands, and the longer walk before or after it.
 
     None where there are not both: a camera that stands for a second or more, and one that goes round.
@@ -225,10 +225,10 @@ def standing(clip: Clip, survey: Survey, window: Window) -> Standing | None:
     # a video that goes on to its end stands to its end; the last moment before a walk is one of taking it up
     end = float(survey.times[-1]) + STEP_S if stop == len(steps) else end
     last = float(survey.times[-1]) + STEP_S if walk[1] == len(steps) else float(times[walk[1]])
-    return Standing(Window(begin, end), Window(float(times[walk[0]]), last))
+    return Standing(TimeWindow(begin, end), TimeWindow(float(times[walk[0]]), last))
 
 
-def _steps(clip: Clip, survey: Survey, window: Window) -> tuple[np.ndarray, np.ndarray]:
+def _steps(clip: Clip, survey: Survey, window: TimeWindow) -> tuple[np.ndarray, np.ndarray]:
     """Times [n + 1] in seconds of pictures STEP_S apart, and how far each goes from the one before [n]; inf: unlike."""
     assert survey.times is not None
     seconds = np.array([float(t) for t in survey.times])

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture.sfm.clip import SWEEP, Clip, Sources, Window
+from tg4mm.capture.sfm.clip import SWEEP, Clip, Sources, TimeWindow
 from tg4mm.capture.sfm.dataset import Track
 from tg4mm.capture.sfm.points import SfmPoints, Similarity, points_of, world_of
-from tg4mm.capture.sfm.staging import Shot, staged_name
+from tg4mm.capture.sfm.staging import StagedPicture, staged_name
 from tg4mm.capture.sfm.survey import Survey
 from tg4mm.capture.sfm.undistort import Key, Lens, lenses, quarter_turned
 from tg4mm.core.choices import Kind
@@ -53,11 +53,11 @@ def clock_of(surveys: Sequence[Survey], fps: float | None) -> FrameTimes:
 def placed_tracks(
     kind: Kind,
     sources: Sources,
-    taken: Sequence[Shot],
+    taken: Sequence[StagedPicture],
     placed: dict[str, Any],
     model: Any,
     clock: FrameTimes | None,
-    window: Window,
+    window: TimeWindow,
 ) -> Placement:
     """Tracks of all placed pictures, those of recordings first.
 
@@ -89,7 +89,7 @@ def placed_tracks(
     return Placement(tracks + ([] if clock is None else cameras.sweep()), moved, world)
 
 
-def _keys(shots: Sequence[Shot], camera_ids: Sequence[int], model: Any) -> list[Key]:
+def _keys(shots: Sequence[StagedPicture], camera_ids: Sequence[int], model: Any) -> list[Key]:
     """Camera and turn of each picture: upright where that lies as most pictures do, turned to lie so where not."""
     sizes = [(model.cameras[i].width, model.cameras[i].height) for i in camera_ids]
     wide = [w >= h for w, h in (shot.upright(size) for shot, size in zip(shots, sizes, strict=True))]
@@ -105,7 +105,7 @@ def _keys(shots: Sequence[Shot], camera_ids: Sequence[int], model: Any) -> list[
 class _Cameras:
     """Placed pictures with their lenses and poses, row by row."""
 
-    shots: list[Shot]
+    shots: list[StagedPicture]
     lenses: list[Lens]
     viewmats: np.ndarray  # [P, 4, 4]
 
@@ -122,7 +122,7 @@ class _Cameras:
     def sweep(self) -> list[Track]:
         return [self._single(i, f"{SWEEP}_{self.shots[i].path.stem}", False) for i in self.of(SWEEP)]
 
-    def fixed(self, clip: Clip, clock: FrameTimes, window: Window, may_test: bool) -> list[Track]:
+    def fixed(self, clip: Clip, clock: FrameTimes, window: TimeWindow, may_test: bool) -> list[Track]:
         times_s = clock.times_s[clip.name]
         return [
             Track(

@@ -43,7 +43,7 @@ from tg4mm.capture.sfm.mapping import Workspace, register_frames
 from tg4mm.capture.sfm.place import Placement, clock_of, placed_tracks
 from tg4mm.capture.sfm.scale import baseline_scale, measured_length
 from tg4mm.capture.sfm.staging import (
-    Shot,
+    StagedPicture,
     camera_shots,
     check_sizes,
     frame_shots,
@@ -189,7 +189,7 @@ def _posed(job: _Job) -> dict[str, Any]:
     return report
 
 
-def _pictures(job: _Job) -> list[Shot]:
+def _pictures(job: _Job) -> list[StagedPicture]:
     """All pictures that poses are found of, the sweep's last."""
     config, sources, frames = job.config, job.sources, job.work.folder / "frames"
     if sources.photographs is not None:
@@ -219,7 +219,7 @@ def _sweep(job: _Job) -> tuple[Path, ...]:
     return extract_frames(sweep.without(survey.repeats), work / "frames" / SWEEP, window, rows)
 
 
-def _model(job: _Job, taken: list[Shot]) -> Any:
+def _model(job: _Job, taken: list[StagedPicture]) -> Any:
     work, config = job.work.folder, job.config
     sparse = work / "sparse" / "0"
     if sparse.is_dir():
@@ -238,7 +238,7 @@ def _model(job: _Job, taken: list[Shot]) -> Any:
     return model
 
 
-def _first_model(job: _Job, taken: list[Shot], workspace: Workspace) -> Any:
+def _first_model(job: _Job, taken: list[StagedPicture], workspace: Workspace) -> Any:
     """The pycolmap Reconstruction of these pictures alone, found by trying which fit."""
     names = [staged_name(shot) for shot in taken]
     frames = sum(shot.clip != SWEEP for shot in taken) if job.sources.clips else len(taken)
@@ -251,7 +251,7 @@ def _first_model(job: _Job, taken: list[Shot], workspace: Workspace) -> Any:
     return mapping.as_pinholes(model, job.threads)
 
 
-def _moving_model(job: _Job, taken: list[Shot], workspace: Workspace) -> Any:
+def _moving_model(job: _Job, taken: list[StagedPicture], workspace: Workspace) -> Any:
     """Return the model of sharp frames and the sweep, against which all other frames are registered."""
     frames = [shot for shot in taken if shot.clip != SWEEP]
     keys = set(sharp_rows(job.surveys[0].sharpness, job.config.frames or KEYS).tolist())
@@ -278,7 +278,7 @@ def _why_moving(job: _Job) -> str:
     return f"; taken for a moving camera as {why}: for one that stays put use --kind {other}"
 
 
-def _check_placed(job: _Job, taken: list[Shot], placed: dict[str, Any], quiet: bool = False) -> None:
+def _check_placed(job: _Job, taken: list[StagedPicture], placed: dict[str, Any], quiet: bool = False) -> None:
     """Raise CaptureError where too little was placed, else warn of what is left out."""
     needed = [staged_name(shot) for shot in taken if shot.clip != SWEEP]
     missing = mapping.check_registered(needed, placed, job.kind.fewest_placed)
@@ -296,7 +296,7 @@ def _check_placed(job: _Job, taken: list[Shot], placed: dict[str, Any], quiet: b
 
 
 def _report(
-    job: _Job, model: Any, taken: list[Shot], placed: dict[str, Any], placement: Placement
+    job: _Job, model: Any, taken: list[StagedPicture], placed: dict[str, Any], placement: Placement
 ) -> dict[str, Any]:
     return {
         "kind": job.kind.value,

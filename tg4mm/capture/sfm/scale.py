@@ -17,7 +17,7 @@ import numpy as np
 from tg4mm.capture.sfm.clip import SWEEP
 from tg4mm.capture.sfm.dataset import Track
 from tg4mm.capture.sfm.points import Similarity
-from tg4mm.capture.sfm.staging import Shot, staged_name
+from tg4mm.capture.sfm.staging import StagedPicture, staged_name
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.extras import install
 from tg4mm.core.untrusted import read_json, read_yaml
@@ -70,7 +70,7 @@ class Spot:
 
 
 @dataclass(frozen=True)
-class Length:
+class KnownLength:
     """A distance in metres between two points, each seen in one or more pictures."""
 
     ends: tuple[tuple[Pixel, ...], tuple[Pixel, ...]]
@@ -101,7 +101,7 @@ class MeasuredLength:
         }
 
 
-def read_length(path: Path) -> Length:
+def read_length(path: Path) -> KnownLength:
     """A length from a JSON or YAML file: `metres`, and `points`, two of them, each {picture: [x, y], …}.
 
     Raises Tg4mmError for a file that is missing, malformed, or of another form.
@@ -116,7 +116,7 @@ def read_length(path: Path) -> Length:
         raise Tg4mmError(f"{path}: cannot be parsed: {' '.join(str(error).split())}") from error
     try:
         first, second = (_seen(point) for point in values["points"])
-        return Length((first, second), float(values["metres"]))
+        return KnownLength((first, second), float(values["metres"]))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise Tg4mmError(f"{path}: has an unknown form; expected {FORM}") from None
 
@@ -131,7 +131,7 @@ def _seen(point: Mapping[str, Sequence[float]]) -> tuple[Pixel, ...]:
     return tuple(pixels)
 
 
-def checked_length(length: Length) -> Length:
+def checked_length(length: KnownLength) -> KnownLength:
     """`length`. Raises Tg4mmError where it is no length above 0, or a coordinate is no number."""
     if not (math.isfinite(length.metres) and length.metres > 0):
         raise Tg4mmError(f"--length is {length.metres} m, expected a length above 0 m")
@@ -142,7 +142,11 @@ def checked_length(length: Length) -> Length:
 
 
 def measured_length(
-    length: Length, taken: Sequence[Shot], placed: Mapping[str, Any], model: Any, world: Similarity
+    length: KnownLength,
+    taken: Sequence[StagedPicture],
+    placed: Mapping[str, Any],
+    model: Any,
+    world: Similarity,
 ) -> MeasuredLength:
     """The length in the dataset's world. Raises Tg4mmError for a picture that is not there, or a place without depth.
 
@@ -162,7 +166,9 @@ def measured_length(
     )
 
 
-def _located(end: tuple[Pixel, ...], taken: Sequence[Shot], placed: Mapping[str, Any], model: Any) -> Spot:
+def _located(
+    end: tuple[Pixel, ...], taken: Sequence[StagedPicture], placed: Mapping[str, Any], model: Any
+) -> Spot:
     """Locate a point: by triangulation from several pictures, or by surrounding points in a single one."""
     sights = []
     for name, x, y in end:
@@ -178,7 +184,7 @@ def _located(end: tuple[Pixel, ...], taken: Sequence[Shot], placed: Mapping[str,
     return triangulated(sights) if len(sights) > 1 else depth_among_points(sights[0], model)
 
 
-def _shot(name: str, taken: Sequence[Shot], placed: Mapping[str, Any]) -> Shot:
+def _shot(name: str, taken: Sequence[StagedPicture], placed: Mapping[str, Any]) -> StagedPicture:
     """The placed picture that the user calls `name`: a file's name or stem, or a fixed camera's."""
     for shot in taken:
         names = {shot.name, shot.path.name, shot.path.stem}

@@ -23,7 +23,7 @@ _LINKED = (".png", ".jpg", ".jpeg")  # what COLMAP reads; others become PNG
 
 
 @dataclass(frozen=True)
-class Shot:
+class StagedPicture:
     """One picture for COLMAP."""
 
     name: str  # below images/, with /
@@ -38,33 +38,37 @@ class Shot:
         return (size[1], size[0]) if self.turns % 2 else size
 
 
-def photograph_shots(photographs: Clip, each: bool) -> list[Shot]:
+def photograph_shots(photographs: Clip, each: bool) -> list[StagedPicture]:
     """Every photograph. each: every one has intrinsics of its own."""
     names = [f"photographs/{path.name}" for path in photographs.pictures]
     return [
-        Shot(name, path, name if each else "shared", photographs.name, turns=exif_turns(path))
+        StagedPicture(name, path, name if each else "shared", photographs.name, turns=exif_turns(path))
         for name, path in zip(names, photographs.pictures, strict=True)
     ]
 
 
-def camera_shots(surveys: Sequence[Survey], each: bool) -> list[Shot]:
+def camera_shots(surveys: Sequence[Survey], each: bool) -> list[StagedPicture]:
     """The mean picture of every fixed camera. each: every camera has intrinsics of its own."""
-    return [Shot(f"cameras/{s.mean.name}", s.mean, s.name if each else "shared", s.name) for s in surveys]
+    return [
+        StagedPicture(f"cameras/{s.mean.name}", s.mean, s.name if each else "shared", s.name) for s in surveys
+    ]
 
 
-def frame_shots(clip: Clip, frames: Sequence[Path]) -> list[Shot]:
+def frame_shots(clip: Clip, frames: Sequence[Path]) -> list[StagedPicture]:
     """All frames of a camera that moves."""
-    return [Shot(f"frames/{path.name}", path, "shared", clip.name, i) for i, path in enumerate(frames)]
+    return [
+        StagedPicture(f"frames/{path.name}", path, "shared", clip.name, i) for i, path in enumerate(frames)
+    ]
 
 
-def sweep_shots(pictures: Sequence[Path], size: tuple[int, int], each: bool) -> list[Shot]:
+def sweep_shots(pictures: Sequence[Path], size: tuple[int, int], each: bool) -> list[StagedPicture]:
     """Pictures of the scene at rest. Those of the recordings' size are taken for the same camera's, unless `each`."""
     shots = []
     for path in pictures:
         header = image_header(path)
         wh = (header.width, header.height)
         group = "shared" if wh == size and not each else f"{SWEEP} {wh[0]}×{wh[1]}"
-        shots.append(Shot(f"{SWEEP}/{path.name}", path, group, SWEEP, turns=exif_turns(path)))
+        shots.append(StagedPicture(f"{SWEEP}/{path.name}", path, group, SWEEP, turns=exif_turns(path)))
     return shots
 
 
@@ -80,7 +84,7 @@ def exif_turns(path: Path) -> int:
         return 0  # an unreadable EXIF block turns nothing; damaged pixels are reported when they are decoded
 
 
-def check_sizes(taken: list[Shot]) -> None:
+def check_sizes(taken: list[StagedPicture]) -> None:
     """Raise CaptureError where pictures that share intrinsics differ in size (a damaged one is named too)."""
     with ThreadPoolExecutor(THREADS) as pool:
         headers = list(pool.map(image_header, [shot.path for shot in taken]))
@@ -95,7 +99,7 @@ def check_sizes(taken: list[Shot]) -> None:
             )
 
 
-def stage(taken: list[Shot], folder: Path) -> Path | None:
+def stage(taken: list[StagedPicture], folder: Path) -> Path | None:
     """images/ and, if any picture is transparent in places, masks/ below `folder`; returns masks/ or None.
 
     Opaque 8-bit PNG and JPEG files are linked (with what their cameras wrote into them), others become PNGs over white.
@@ -103,7 +107,7 @@ def stage(taken: list[Shot], folder: Path) -> Path | None:
     """
     masks = folder / "masks"
 
-    def one(shot: Shot) -> None:
+    def one(shot: StagedPicture) -> None:
         target = folder / "images" / staged_name(shot)
         if not target.exists():
             _stage_one(shot.path, target, masks / f"{staged_name(shot)}.png")
@@ -131,13 +135,15 @@ def _stage_one(path: Path, target: Path, mask: Path) -> None:
     _save(target, 255 * (pixels[..., :3] / maximum * alpha[..., None] + 1 - alpha[..., None]))
 
 
-def staged_name(shot: Shot) -> str:
+def staged_name(shot: StagedPicture) -> str:
     """The picture's name below images/: percent-encoded (COLMAP's lists part names at spaces); a PNG if need be."""
     name = quote(shot.name, safe="/")
     return name if shot.path.suffix.lower() in _LINKED else f"{name}.png"
 
 
-def make_database(taken: list[Shot], folder: Path, camera_model: str, focal_px: float | None) -> Path:
+def make_database(
+    taken: list[StagedPicture], folder: Path, camera_model: str, focal_px: float | None
+) -> Path:
     """folder/database.db with every picture and its camera, no features yet; one that is there is kept.
 
     The focal length is focal_px (pixels), or what the picture's EXIF says, or 1.2 times the longer side, to be refined.
@@ -150,7 +156,7 @@ def make_database(taken: list[Shot], folder: Path, camera_model: str, focal_px: 
     for leftover in folder.glob(".database.db.tmp*"):
         leftover.unlink()
     opened(temporary).__exit__()
-    groups: dict[str, list[Shot]] = {}
+    groups: dict[str, list[StagedPicture]] = {}
     for shot in taken:
         groups.setdefault(shot.group, []).append(shot)
     for members in groups.values():

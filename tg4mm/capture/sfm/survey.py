@@ -21,7 +21,7 @@ from tg4mm.capture.scene import KINDS_OF_PICTURES
 from tg4mm.capture.sfm.clip import (
     Clip,
     Frame,
-    Window,
+    TimeWindow,
     check_numbers,
     clip_frames,
     frame_rate,
@@ -33,7 +33,7 @@ from tg4mm.capture.video import VideoInfo, video_info
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import write_atomic, write_json
 from tg4mm.core.progress import progress
-from tg4mm.core.untrusted import Record, read_record
+from tg4mm.core.untrusted import JsonRecord, read_record
 
 BLACK = 16  # of 255: a frame whose brightest hundredth does not reach it shows nothing
 NOTHING = -1  # the part of such a frame
@@ -85,7 +85,7 @@ class Survey:
         return fps or float(self.fps), np.array([float(time) for time in self.times]) * stretch
 
 
-def survey_clip(clip: Clip, folder: Path, window: Window, keep_duplicates: bool = False) -> Survey:
+def survey_clip(clip: Clip, folder: Path, window: TimeWindow, keep_duplicates: bool = False) -> Survey:
     """Look through a clip, or read what an earlier look wrote to `folder`.
 
     keep_duplicates: duplicate frames are not looked for. Raises CaptureError for a recording that is damaged, black, or
@@ -101,11 +101,11 @@ def survey_clip(clip: Clip, folder: Path, window: Window, keep_duplicates: bool 
         raise CaptureError(f"{path}: is damaged or edited; remove it and give the command again") from None
 
 
-def _looked_through(clip: Clip, folder: Path, window: Window, keep_duplicates: bool) -> dict[str, Any]:
+def _looked_through(clip: Clip, folder: Path, window: TimeWindow, keep_duplicates: bool) -> dict[str, Any]:
     info = video_info(clip.path) if clip.is_video else None
     check_numbers(clip.pictures)
     total = (info.total if info else len(clip.pictures)) or 1
-    look = _Look(clip)
+    look = _SurveyLook(clip)
     with progress(f"reading {clip.name}", total, "frames") as update:
         for frame in clip_frames(clip, window):
             look.add(frame)
@@ -118,7 +118,7 @@ def _looked_through(clip: Clip, folder: Path, window: Window, keep_duplicates: b
 
 
 def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
-    """Raises one of many errors for a record that is not as `_Look.record` gives it."""
+    """Raises one of many errors for a record that is not as `_SurveyLook.record` gives it."""
     times, fps = record["times"], record["fps"]
     sharpness = np.array(record["sharpness"], np.float64)
     shifts = [[np.nan if x is None else x for x in row] for row in record["shifts_px"]]
@@ -141,7 +141,7 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
         raise ValueError("times that do not go forward")
     if sharpness.ndim != 1 or not np.isfinite(sharpness).all() or np.isinf(shifts_px).any():
         raise ValueError("a number that is not finite")
-    found = Record(clip.name, record)
+    found = JsonRecord(clip.name, record)
     return Survey(
         name=clip.name,
         path=clip.path,
@@ -176,7 +176,7 @@ def _positive(rate: Fraction) -> Fraction:
     return rate
 
 
-class _Look:
+class _SurveyLook:
     def __init__(self, clip: Clip) -> None:
         self.clip = clip
         self.times: list[Fraction | None] = []

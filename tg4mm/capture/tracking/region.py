@@ -38,7 +38,7 @@ Frames = Callable[[Box], np.ndarray]  # some frames' grey levels [f, h, w], 0 to
 
 
 @dataclass(frozen=True)
-class Region:
+class TrackedRegion:
     """Two halves of a region's pixels, in a chessboard of squares, within a box of the picture."""
 
     box: Box  # of the picture, with what moves into the region
@@ -49,7 +49,7 @@ class Region:
     centre: tuple[float, float]  # pixels right and down from the picture's corner
 
     @staticmethod
-    def of(mask: np.ndarray) -> "Region":
+    def of(mask: np.ndarray) -> "TrackedRegion":
         """Make a region of weights [H, W], 0 to 1, that are not all 0."""
         rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
         ends = [(int(k[0]), int(k[-1]) + 1, n) for k, n in zip((rows, columns), mask.shape, strict=True)]
@@ -73,7 +73,9 @@ class Region:
         for half, pixels in enumerate(some):
             index[half, : len(pixels)], root[half, : len(pixels)] = pixels, np.sqrt(weight.ravel()[pixels])
         at = centre[0] + right.start, centre[1] + down.start
-        return Region((outer[0], outer[1]), (inner[0], inner[1]), index, root, Turn(centre, radius), at)
+        return TrackedRegion(
+            (outer[0], outer[1]), (inner[0], inner[1]), index, root, Turn(centre, radius), at
+        )
 
     def __len__(self) -> int:
         return len(self.index)
@@ -112,7 +114,7 @@ class Region:
 class RowClock:
     """Times of a region's rows, for a camera that reads them one after another."""
 
-    region: Region
+    region: TrackedRegion
     times_s: np.ndarray  # [F] of the frames' middle rows
     delays_s: np.ndarray  # [h] of the inner box's rows after that
     bands: list[tuple[float, list[slice]]]  # delay, and pixels of each half
@@ -120,7 +122,7 @@ class RowClock:
 
     @staticmethod
     def of(
-        region: Region, mean: np.ndarray, times_s: np.ndarray, readout_s: float, height: int
+        region: TrackedRegion, mean: np.ndarray, times_s: np.ndarray, readout_s: float, height: int
     ) -> "RowClock":
         """mean [h, w] of the inner box; height: of the picture."""
         rows, bands, known = region.index // mean.shape[1], [], []
@@ -239,7 +241,7 @@ def region_motions(
     Returns:
         The motion of each region, in the order of the masks.
     """
-    regions = [Region.of(mask) for mask in masks]
+    regions = [TrackedRegion.of(mask) for mask in masks]
     kept = [mapped_zeros((len(times_s), *region.shape), np.uint16) for region in regions]
     first = 0
     for some in pictures:
@@ -255,7 +257,7 @@ def region_motions(
 
 
 def _measured(
-    region: Region, kept: np.ndarray, times_s: np.ndarray, readout_s: float, height: int
+    region: TrackedRegion, kept: np.ndarray, times_s: np.ndarray, readout_s: float, height: int
 ) -> RegionMotion:
     first = _estimated(region, kept, times_s, readout_s, height)
     if not first.hidden.any():
@@ -271,7 +273,7 @@ def _measured(
 
 
 def _estimated(
-    region: Region, kept: np.ndarray, times_s: np.ndarray, readout_s: float, height: int
+    region: TrackedRegion, kept: np.ndarray, times_s: np.ndarray, readout_s: float, height: int
 ) -> RegionMotion:
     mean = (kept[:, *region.inner].mean(0, dtype=np.float64) / _LEVELS).astype(np.float32)
     clock = RowClock.of(region, mean, times_s, readout_s, height) if readout_s else None
@@ -298,7 +300,7 @@ def _estimated(
 
 
 def _iterated(
-    region: Region, kept: np.ndarray, template: Template, solved: Solved, clock: RowClock | None
+    region: TrackedRegion, kept: np.ndarray, template: Template, solved: Solved, clock: RowClock | None
 ) -> tuple[Solved, Template] | None:
     """Return the motion by registered frames if it is large and they explain more, else None."""
     whole = template.together(solved.shift)
@@ -325,7 +327,7 @@ def _iterated(
     return best
 
 
-def _chunks(kept: np.ndarray, region: Region) -> Iterable[np.ndarray]:
+def _chunks(kept: np.ndarray, region: TrackedRegion) -> Iterable[np.ndarray]:
     """Grey levels of the inner box, a few frames at a time."""
     inner = kept[:, *region.inner]
     step = max(1, _AT_ONCE // inner[0].size)

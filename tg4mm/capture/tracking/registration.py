@@ -60,7 +60,7 @@ def _most_textured(picture: np.ndarray, inside: np.ndarray, reach: int) -> tuple
     return first, second
 
 
-class Clock(Protocol):
+class ReadoutClock(Protocol):
     """Times of the rows of frames."""
 
     def by_row(self, shift: np.ndarray) -> np.ndarray:
@@ -79,7 +79,7 @@ def refined(
     inner: Box,
     rounds: int = ROUNDS,
     turn: Turn | None = None,
-    clock: Clock | None = None,
+    clock: ReadoutClock | None = None,
 ) -> tuple[Solved, Template, float]:
     """Iterate the shift of parts that move as one in pictures [F, h, w], from `start` [F, 2] on, pixels right and down.
 

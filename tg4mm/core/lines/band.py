@@ -24,7 +24,7 @@ _ROUNDING = 1e-9  # of the record's mean square: less noise cannot be distinguis
 
 
 @dataclass(frozen=True)
-class Tone:
+class BandLine:
     """Re[phasor exp(i 2π f t)] of D components, t on the record's clock."""
 
     band: tuple[float, float]  # Hz
@@ -37,7 +37,7 @@ class Tone:
 
 def tone_in(
     values: np.ndarray, times_s: np.ndarray, band: Sequence[float], noise: np.ndarray | float = 0.0
-) -> Tone:
+) -> BandLine:
     """Return the tone of values [T] or [T, D] at times [T] in seconds; band (low, high) in Hz.
 
     noise: standard deviation of each component's samples that is known from elsewhere; what lies above the band counts
@@ -66,7 +66,7 @@ def tone_in(
     phasor = weights @ means
     total = weights @ (variances + np.abs(means - phasor) ** 2)
     turn = np.exp(-2j * np.pi * hz * middle)
-    return Tone((low, high), hz, spread, phasor * turn, np.sqrt(total), hz * duration)
+    return BandLine((low, high), hz, spread, phasor * turn, np.sqrt(total), hz * duration)
 
 
 def _answers(

@@ -14,7 +14,7 @@ from scipy.signal import find_peaks
 from scipy.stats import chi2, gamma
 from scipy.stats import f as f_distribution
 
-from tg4mm.core.lines.model import AROUND, TREND, Shape, level, refined, samples, solved, spectra
+from tg4mm.core.lines.model import AROUND, TREND, LineShape, level, refined, samples, solved, spectra
 from tg4mm.core.lines.modulation import modulated, reach, unknowns
 from tg4mm.core.lines.record import (
     LEAST_CHANGE,
@@ -27,7 +27,7 @@ from tg4mm.core.lines.record import (
     nothing,
     wald,
 )
-from tg4mm.core.lines.search import LEAST_PERIODS, Candidate, candidates, strongest, without_between
+from tg4mm.core.lines.search import LEAST_PERIODS, LineCandidate, candidates, strongest, without_between
 
 _TRIED = 6.0  # independent frequencies, decays and beginnings to each sample
 _EACH, _BESIDE = 4, 6  # samples for each line, and beside them
@@ -81,7 +81,7 @@ def find_lines(
     return replace(found, lines=tuple(strong))
 
 
-def _peaks(record: Record, most: int) -> list[Shape]:
+def _peaks(record: Record, most: int) -> list[LineShape]:
     """Return steady lines at the strongest peaks of a long record's spectrum, through Hann's window."""
     window = np.hanning(len(record.t))[:, None]
     power = np.abs(spectra(record.y * window, record.t)) ** 2 / (window**2).mean()
@@ -92,7 +92,7 @@ def _peaks(record: Record, most: int) -> list[Shape]:
     is_peak &= (hz > record.ends[0]) & (hz < record.ends[1])
     at = [k for k in find_peaks(power)[0] if is_peak[k]]
     at = sorted(at, key=lambda k: -power[k])[:most]
-    shapes = [Shape(float(hz[k])) for k in at if power[k] > _LEAST_SIZE**2 * power[at[0]]]
+    shapes = [LineShape(float(hz[k])) for k in at if power[k] > _LEAST_SIZE**2 * power[at[0]]]
     return refined(shapes, record.t, record.y, record.ends) if shapes else []
 
 
@@ -121,7 +121,7 @@ def fit_lines(
     if lines:
         shapes = [_shape_of(line, record.t) for line in lines]
         return record.whitened(shapes).result(shapes)
-    shapes = [Shape(float(hz)) for hz in np.clip(np.asarray(at, np.float64), *record.ends)]
+    shapes = [LineShape(float(hz)) for hz in np.clip(np.asarray(at, np.float64), *record.ends)]
     record = record.whitened(refined(shapes, record.t, record.y, record.ends))
     return record.result(_settled(record, refined(shapes, record.t, record.y, record.ends)))
 
@@ -138,7 +138,7 @@ def fit_line_near(values: np.ndarray, times_s: np.ndarray, hz: float, half_hz: f
     if record is None:
         raise ValueError(f"{len(times_s)} samples are too few for a line")
     level = np.broadcast_to(noise**2 / record.back[0] ** 2, (1, 1))
-    options = [[Shape(hz)]]
+    options = [[LineShape(hz)]]
     for c in candidates(record.y, record.t, level, (), ends, 0.0):
         if c.statistic > 0 and c.shape.decay >= 0:
             shape = replace(c.shape, is_free=c.shape.decay != 0)
@@ -155,12 +155,12 @@ def projected(lines: Sequence[Line], values: np.ndarray, times_s: np.ndarray) ->
     return np.asarray(phasors * np.array(turn)[:, None])
 
 
-def _shape_of(line: Line, t: np.ndarray) -> Shape:
+def _shape_of(line: Line, t: np.ndarray) -> LineShape:
     start = 0 if line.start_s is None else int(np.searchsorted(t, line.start_s - 1e-9))
-    return Shape(line.hz, line.decay_per_s, start)
+    return LineShape(line.hz, line.decay_per_s, start)
 
 
-def _with_next(record: Record, shapes: list[Shape]) -> list[Shape] | None:
+def _with_next(record: Record, shapes: list[LineShape]) -> list[LineShape] | None:
     """Return the shapes and one more, all refined; None if none is significant."""
     residual = solved(shapes, record.t, record.y)[1]
     floor, freedom = record.floor(residual, shapes)
@@ -173,7 +173,7 @@ def _with_next(record: Record, shapes: list[Shape]) -> list[Shape] | None:
         hidden = strongest(residual, record.t, floor, shapes, record.ends)
         if not hidden.hz or not _explains(record, shapes, hidden, tried):
             return None
-        found = [Candidate(hidden, 1.0)]
+        found = [LineCandidate(hidden, 1.0)]
     options = []
     for c in (c for c in found if c.statistic > 0):
         shape = replace(c.shape, is_free=c.shape.decay != 0)
@@ -185,7 +185,7 @@ def _with_next(record: Record, shapes: list[Shape]) -> list[Shape] | None:
     return None if unknowns(more) == unknowns(shapes) and len(more) == len(shapes) else more
 
 
-def _explains(record: Record, shapes: list[Shape], shape: Shape, tried: float) -> bool:
+def _explains(record: Record, shapes: list[LineShape], shape: LineShape, tried: float) -> bool:
     """Whether a line stands out of what it leaves: its own side lobes may be all that there is besides."""
     more = refined([*shapes, shape], record.t, record.y, record.ends)
     phasors, residual = solved(more, record.t, record.y)
@@ -196,7 +196,7 @@ def _explains(record: Record, shapes: list[Shape], shape: Shape, tried: float) -
     return strength > (1 if len(levels) <= _FEW_BINS else _CLEAR) * least
 
 
-def _changing(record: Record, shapes: list[Shape], more: list[Shape]) -> list[list[Shape]]:
+def _changing(record: Record, shapes: list[LineShape], more: list[LineShape]) -> list[list[LineShape]]:
     """Return alternatives to the newest of `more`: a change of a stronger line near it, or its mirror image."""
     hz, out = more[-1].hz, []
     for k, s in enumerate(shapes):
@@ -211,7 +211,7 @@ def _changing(record: Record, shapes: list[Shape], more: list[Shape]) -> list[li
     return out
 
 
-def _refitted(record: Record, shapes: list[Shape]) -> list[Shape]:
+def _refitted(record: Record, shapes: list[LineShape]) -> list[LineShape]:
     """Return the shapes refined, with their modulations estimated again."""
     shapes = refined(shapes, record.t, record.y, record.ends)
     changing = [k for k, s in enumerate(shapes) if s.rates]
@@ -220,7 +220,7 @@ def _refitted(record: Record, shapes: list[Shape]) -> list[Shape]:
     return refined(shapes, record.t, record.y, record.ends) if changing else shapes
 
 
-def _cheapest(record: Record, options: list[list[Shape]]) -> list[Shape]:
+def _cheapest(record: Record, options: list[list[LineShape]]) -> list[LineShape]:
     """Return the best option by Schwarz's criterion: misfit plus log T for each unknown."""
     if len(options) == 1:
         return options[0]
@@ -237,7 +237,7 @@ def _cheapest(record: Record, options: list[list[Shape]]) -> list[Shape]:
     return options[int(np.argmin(costs))]
 
 
-def _beginnings(record: Record, shapes: list[Shape]) -> list[Shape]:
+def _beginnings(record: Record, shapes: list[LineShape]) -> list[LineShape]:
     """Test again lines that begin in the record: another line, not yet found, may have looked like a beginning."""
     for k, s in enumerate(shapes):
         if s.start and len(shapes) > 1:
@@ -249,7 +249,7 @@ def _beginnings(record: Record, shapes: list[Shape]) -> list[Shape]:
     return shapes
 
 
-def _begun(record: Record, shapes: list[Shape], shape: Shape) -> Shape:
+def _begun(record: Record, shapes: list[LineShape], shape: LineShape) -> LineShape:
     """Return the shape with the first sample that explains most, near that of its block."""
     reach = max(len(record.t) // 24, 2)
     earliest = int(np.searchsorted(record.t, record.t[0] + LEAST_PERIODS / shape.hz))
@@ -258,7 +258,9 @@ def _begun(record: Record, shapes: list[Shape], shape: Shape) -> Shape:
     return replace(shape, start=starts[int(np.argmin(sizes))]) if sizes else shape
 
 
-def _simplest(record: Record, options: list[list[Shape]], levels: np.ndarray | None = None) -> list[Shape]:
+def _simplest(
+    record: Record, options: list[list[LineShape]], levels: np.ndarray | None = None
+) -> list[LineShape]:
     """Return the simplest option, steady, decaying or beginning, that no later one improves significantly.
 
     levels [F, D] of the noise; those that the best option leaves if not given.
@@ -279,7 +281,7 @@ def _simplest(record: Record, options: list[list[Shape]], levels: np.ndarray | N
     return options[chosen]
 
 
-def _settled(record: Record, shapes: list[Shape]) -> list[Shape]:
+def _settled(record: Record, shapes: list[LineShape]) -> list[LineShape]:
     """Return the shapes with all decays tested: fitted where they exceed their deviation, else held at 0."""
     if not shapes:
         return shapes
@@ -296,7 +298,7 @@ def _settled(record: Record, shapes: list[Shape]) -> list[Shape]:
     return _refitted(record, out)
 
 
-def _kept(record: Record, shapes: list[Shape]) -> list[Shape]:
+def _kept(record: Record, shapes: list[LineShape]) -> list[LineShape]:
     """Return the significant lines, with their decays tested."""
     shapes = _settled(record, shapes)
     while shapes and (kept := _without_most_doubtful(record, shapes)) != shapes:
@@ -304,7 +306,7 @@ def _kept(record: Record, shapes: list[Shape]) -> list[Shape]:
     return shapes
 
 
-def _without_most_doubtful(record: Record, shapes: list[Shape]) -> list[Shape]:
+def _without_most_doubtful(record: Record, shapes: list[LineShape]) -> list[LineShape]:
     """Return all but the weakest line that may be noise, a leftover of a stronger line, or part of its neighbour."""
     phasors, residual = solved(shapes, record.t, record.y)
     levels = record.levels(shapes, residual)
@@ -326,7 +328,7 @@ def _without_most_doubtful(record: Record, shapes: list[Shape]) -> list[Shape]:
     return [s for k, s in enumerate(shapes) if k != out]
 
 
-def _is_change(record: Record, shapes: list[Shape], i: int, size: np.ndarray) -> bool:
+def _is_change(record: Record, shapes: list[LineShape], i: int, size: np.ndarray) -> bool:
     """Whether a change of a stronger line near line i explains it."""
     for j, s in enumerate(shapes):
         if size[j] > size[i] and abs(shapes[i].hz - s.hz) < reach(record, s):
@@ -337,7 +339,7 @@ def _is_change(record: Record, shapes: list[Shape], i: int, size: np.ndarray) ->
     return False
 
 
-def _are_two(record: Record, shapes: list[Shape], i: int, j: int, levels: np.ndarray) -> bool:
+def _are_two(record: Record, shapes: list[LineShape], i: int, j: int, levels: np.ndarray) -> bool:
     """Whether one decaying line in place of both leaves a significantly larger residual."""
     rest = [s for k, s in enumerate(shapes) if k not in (i, j)]
     one = refined([*rest, replace(shapes[j], is_free=True)], record.t, record.y, record.ends)

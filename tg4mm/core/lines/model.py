@@ -22,7 +22,7 @@ _STEPS = 25
 
 
 @dataclass(frozen=True)
-class Shape:
+class LineShape:
     """The nonlinear parameters of a line."""
 
     hz: float
@@ -68,7 +68,7 @@ def trend(t: np.ndarray) -> np.ndarray:
     return np.asarray(legendre.legvander(2 * (t - t[0]) / max(np.ptp(t), 1e-12) - 1, TREND))
 
 
-def design(shapes: Sequence[Shape], t: np.ndarray) -> np.ndarray:
+def design(shapes: Sequence[LineShape], t: np.ndarray) -> np.ndarray:
     """[T, TREND + 1 + 2K]: the trend, then Re and −Im of each wave in turn."""
     return _columns([s.wave(t) for s in shapes], trend(t))
 
@@ -81,7 +81,7 @@ def _columns(waves: Sequence[np.ndarray], slow: np.ndarray) -> np.ndarray:
     return out
 
 
-def solved(shapes: Sequence[Shape], t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def solved(shapes: Sequence[LineShape], t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Phasors [K, D] at each wave's middle, and the residual [T, D], of least squares."""
     x = design(shapes, t)
     weights = np.linalg.lstsq(x, y, rcond=None)[0]
@@ -90,7 +90,7 @@ def solved(shapes: Sequence[Shape], t: np.ndarray, y: np.ndarray) -> tuple[np.nd
 
 
 def slopes(
-    shape: Shape, phasor: np.ndarray, t: np.ndarray, wave: np.ndarray | None = None
+    shape: LineShape, phasor: np.ndarray, t: np.ndarray, wave: np.ndarray | None = None
 ) -> list[np.ndarray]:
     """[T, D] derivatives of a line by its frequency and, if that is free, its decay. wave: `shape.wave(t)`."""
     turning = (shape.wave(t) if wave is None else wave)[:, None] * phasor
@@ -100,7 +100,9 @@ def slopes(
     return [by_hz, -((t - shape.from_s(t))[:, None] * turning).real]
 
 
-def refined(shapes: Sequence[Shape], t: np.ndarray, y: np.ndarray, ends: tuple[float, float]) -> list[Shape]:
+def refined(
+    shapes: Sequence[LineShape], t: np.ndarray, y: np.ndarray, ends: tuple[float, float]
+) -> list[LineShape]:
     """The shapes moved to the least squares of y [T, D], frequencies by 0.75 / duration at most and within `ends`."""
     duration = float(np.ptp(t)) or 1.0
     scale = float(np.sqrt((y**2).sum())) or 1.0
@@ -141,7 +143,7 @@ def refined(shapes: Sequence[Shape], t: np.ndarray, y: np.ndarray, ends: tuple[f
     return _with(shapes, found.x, duration)
 
 
-def _with(shapes: Sequence[Shape], x: np.ndarray, duration: float) -> list[Shape]:
+def _with(shapes: Sequence[LineShape], x: np.ndarray, duration: float) -> list[LineShape]:
     out, k = [], 0
     for s in shapes:
         decay = s.decay

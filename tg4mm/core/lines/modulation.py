@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import lstsq
 
-from tg4mm.core.lines.model import Shape, design, slopes, solved
+from tg4mm.core.lines.model import LineShape, design, slopes, solved
 from tg4mm.core.lines.record import LONG, Record
 
 _SLOWEST = 0.45  # of the line's frequency: sidebands further off are lines, half its frequency one of them
@@ -27,7 +27,7 @@ _ENDS = 2  # columns before the cosines, s and s²
 _STEPS = 4  # of the noise's level and the number of cosines in turn
 
 
-def reach(record: Record, shape: Shape) -> float:
+def reach(record: Record, shape: LineShape) -> float:
     """Hz to either side of a line that its modulation may have sidebands at; 0 in a long record."""
     if len(record.t) > LONG:
         return 0.0
@@ -37,7 +37,9 @@ def reach(record: Record, shape: Shape) -> float:
     return min(_SLOWEST * shape.hz, most, 0.5 / step - shape.hz)
 
 
-def modulated(record: Record, shapes: Sequence[Shape], j: int, seen: float | None = None) -> list[Shape]:
+def modulated(
+    record: Record, shapes: Sequence[LineShape], j: int, seen: float | None = None
+) -> list[LineShape]:
     """Return the shapes with the modulation of one estimated again; none if none is significant.
 
     seen: offset in Hz of a pair of sidebands that is tested as well.
@@ -114,12 +116,12 @@ def _best(
     return found
 
 
-def unknowns(shapes: Sequence[Shape]) -> int:
+def unknowns(shapes: Sequence[LineShape]) -> int:
     """Return the number of unknowns of all modulations."""
     return sum(len(s.rates) for s in shapes)
 
 
-def _changes(shape: Shape, t: np.ndarray, count: int, pairs: Sequence[float]) -> np.ndarray:
+def _changes(shape: LineShape, t: np.ndarray, count: int, pairs: Sequence[float]) -> np.ndarray:
     """[T, K]: pairs, s, s² and `count` cosines, 0 before the line begins."""
     begin = t[shape.start]
     since = ((t - begin) / (t[-1] - begin))[:, None]
@@ -131,7 +133,7 @@ def _changes(shape: Shape, t: np.ndarray, count: int, pairs: Sequence[float]) ->
 
 
 def _beside(
-    record: Record, shapes: Sequence[Shape], j: int, phasor: np.ndarray, changes: np.ndarray
+    record: Record, shapes: Sequence[LineShape], j: int, phasor: np.ndarray, changes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Columns [2, N, K] of changes in amplitude and in phase and the values [N], both beside all else that is fitted.
 
@@ -157,7 +159,7 @@ def _beside(
     return columns, y - basis @ (basis.T @ y), kept
 
 
-def _centred(shape: Shape, t: np.ndarray, change: np.ndarray) -> np.ndarray:
+def _centred(shape: LineShape, t: np.ndarray, change: np.ndarray) -> np.ndarray:
     """Remove the line's mean amplitude, phase and frequency from a change, and its decay where that is fitted."""
     weights = shape.envelope(t)
     since = t - t[shape.start]

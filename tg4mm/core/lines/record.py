@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from tg4mm.core.lines.model import (
-    Shape,
+    LineShape,
     around,
     degrees,
     level,
@@ -179,12 +179,12 @@ class Record:
         least = np.broadcast_to(np.asarray(noise, np.float64), y.shape[1:])
         return Record(t, y, np.eye(y.shape[1]), least, ends, chance).whitened(())
 
-    def whitened(self, shapes: Sequence[Shape]) -> "Record":
+    def whitened(self, shapes: Sequence[LineShape]) -> "Record":
         """Return the record in units of the noise that these lines leave; a strong line hides it before it is found."""
         forth = _whitening(solved(shapes, self.t, self.y)[1] @ self.back, self.t, self.known)
         return replace(self, y=self.y @ self.back @ forth, back=np.linalg.inv(forth))
 
-    def levels(self, shapes: Sequence[Shape], residual: np.ndarray) -> np.ndarray:
+    def levels(self, shapes: Sequence[LineShape], residual: np.ndarray) -> np.ndarray:
         """[F, D] variance of the noise around each bin, by what is left there."""
         power = np.abs(spectra(residual, self.t)) ** 2
         taken = np.zeros(len(power))
@@ -192,7 +192,7 @@ class Record:
             taken[self.bin_of(s.hz, len(power))] += 1 + (1 + s.is_free) / (2 * self.y.shape[1])
         return np.maximum(around(power, taken + self._by_modulation(shapes, len(power))), self.least())
 
-    def _by_modulation(self, shapes: Sequence[Shape], n_bins: int) -> np.ndarray:
+    def _by_modulation(self, shapes: Sequence[LineShape], n_bins: int) -> np.ndarray:
         """[F] share of each bin's power that the shapes' modulations took away with them."""
         taken = np.zeros(n_bins)
         for s in shapes:
@@ -211,7 +211,7 @@ class Record:
         """The row of a level [n_bins, D] that a frequency belongs to."""
         return int(np.clip(round(self.folded(hz) * float(np.ptp(self.t))) - 1, 0, n_bins - 1))
 
-    def floor(self, residual: np.ndarray, shapes: Sequence[Shape]) -> tuple[np.ndarray, int]:
+    def floor(self, residual: np.ndarray, shapes: Sequence[LineShape]) -> tuple[np.ndarray, int]:
         """Return the noise level [F, D], robust to lines that are still there, and its degrees of freedom.
 
         In a short record, whose bins one line may fill, it is the noise known from elsewhere, if any.
@@ -227,7 +227,7 @@ class Record:
         known = np.einsum("ij,i->j", np.linalg.inv(self.back) ** 2, self.known**2)
         return np.asarray(np.maximum(known, _TINY * (self.y**2).mean(0) + 1e-300))
 
-    def result(self, shapes: Sequence[Shape]) -> Lines:
+    def result(self, shapes: Sequence[LineShape]) -> Lines:
         """Return the lines in the units of the values."""
         phasors, residual = solved(shapes, self.t, self.y)
         levels = self.levels(shapes, residual)
@@ -244,7 +244,9 @@ class Record:
         density = np.sqrt(levels @ self.back**2)
         return Lines(lines, residual @ self.back, hz, density)
 
-    def _line(self, s: Shape, phasor: np.ndarray, covariance: np.ndarray, free: tuple[float, float]) -> Line:
+    def _line(
+        self, s: LineShape, phasor: np.ndarray, covariance: np.ndarray, free: tuple[float, float]
+    ) -> Line:
         n = len(phasor)
         turn = np.eye(2 + 2 * n)
         turn[2 : 2 + n, 2 : 2 + n] = turn[2 + n :, 2 + n :] = self.back.T
@@ -257,7 +259,7 @@ class Record:
         return Line(s.hz, s.decay, clock, errors, s.from_s(self.t), middle, start, change, strength, s.depth)
 
 
-def _change(s: Shape, free: tuple[float, float]) -> str:
+def _change(s: LineShape, free: tuple[float, float]) -> str:
     if s.start:
         return "begins"
     if s.is_free:
@@ -295,7 +297,9 @@ def wald(phasor: np.ndarray, covariance: np.ndarray) -> float:
     return float(parts @ np.linalg.pinv(covariance[2:, 2:], hermitian=True) @ parts)
 
 
-def _free_decays(record: Record, shapes: Sequence[Shape], levels: np.ndarray) -> list[tuple[float, float]]:
+def _free_decays(
+    record: Record, shapes: Sequence[LineShape], levels: np.ndarray
+) -> list[tuple[float, float]]:
     """Decay over the record and its deviation with it left free, of every line."""
     if not shapes:
         return []
@@ -308,7 +312,7 @@ def _free_decays(record: Record, shapes: Sequence[Shape], levels: np.ndarray) ->
 
 
 def covariances(
-    record: Record, shapes: Sequence[Shape], phasors: np.ndarray, levels: np.ndarray
+    record: Record, shapes: Sequence[LineShape], phasors: np.ndarray, levels: np.ndarray
 ) -> list[np.ndarray]:
     """[2 + 2D, 2 + 2D] of each line: Hz, decay per second, Re and Im of its phasor."""
     x, numbers = _jacobian(record, shapes, phasors)
@@ -328,7 +332,7 @@ def covariances(
     return out
 
 
-def _slow_variance(s: Shape, t: np.ndarray) -> tuple[float, float]:
+def _slow_variance(s: LineShape, t: np.ndarray) -> tuple[float, float]:
     """Return the variance that a modulation adds to a line's slopes: (rad / s)² of phase and 1 / s² of log amplitude.
 
     Half a cycle over the record, cos(πs), looks like a slope: −24 / π² of it. Its size is estimated from the next
@@ -347,7 +351,7 @@ def _slow_variance(s: Shape, t: np.ndarray) -> tuple[float, float]:
 
 
 def _jacobian(
-    record: Record, shapes: Sequence[Shape], phasors: np.ndarray
+    record: Record, shapes: Sequence[LineShape], phasors: np.ndarray
 ) -> tuple[np.ndarray, list[np.ndarray]]:
     """[T, D, P] of all unknowns, and for each line which of them are its own; −1: a decay that is held."""
     each = np.eye(record.y.shape[1])
@@ -362,7 +366,7 @@ def _jacobian(
     return np.stack(columns, -1), numbers
 
 
-def early_decay_variance(shape: Shape, t: np.ndarray, values: np.ndarray, variance: float) -> float:
+def early_decay_variance(shape: LineShape, t: np.ndarray, values: np.ndarray, variance: float) -> float:
     """Return the variance to add to `variance` of a decay per second: 0 where both parts agree or one is too short.
 
     Video compression attenuates small motion, so the end of a ring-down looks weaker than it is, and the damping of
@@ -399,7 +403,7 @@ def _columns(hz: float, decay: float, since: np.ndarray) -> np.ndarray:
     return np.stack([turning.real, -turning.imag], 1)
 
 
-def _information(shape: Shape, since: np.ndarray, whole: np.ndarray, y: np.ndarray) -> float:
+def _information(shape: LineShape, since: np.ndarray, whole: np.ndarray, y: np.ndarray) -> float:
     """Return the information on the decay in samples at `since` of the line fitted to `y` at `whole`, noise units."""
     weights = np.linalg.lstsq(_columns(shape.hz, shape.decay, whole), y, rcond=None)[0]
     columns = _columns(shape.hz, shape.decay, since)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from tg4mm.core.lines.model import Shape, design, refined, solved
+from tg4mm.core.lines.model import LineShape, design, refined, solved
 from tg4mm.core.lines.record import FEWEST, Record
 
 _OVERSAMPLED = 4  # frequencies to each 1 / duration
@@ -31,14 +31,14 @@ _LEAST_SAMPLES, LEAST_PERIODS = (8.0, 1.0)
 
 
 @dataclass(frozen=True)
-class Candidate:
+class LineCandidate:
     """A shape and its statistic."""
 
-    shape: Shape
+    shape: LineShape
     statistic: float
     power: float = 0.0
 
-    def or_better(self, other: "Candidate", least: float) -> "Candidate":
+    def or_better(self, other: "LineCandidate", least: float) -> "LineCandidate":
         """Return the one with more power if that has at least the statistic `least`, else the more significant one."""
         if (self.statistic >= least) != (other.statistic >= least):
             return max(self, other, key=lambda c: c.statistic)
@@ -50,10 +50,10 @@ def candidates(
     residual: np.ndarray,
     t: np.ndarray,
     levels: np.ndarray,
-    lines: Sequence[Shape],
+    lines: Sequence[LineShape],
     ends: tuple[float, float],
     least: float,
-) -> list[Candidate]:
+) -> list[LineCandidate]:
     """Return the best steady, the best decaying or growing and the best beginning line in a residual [T, D].
 
     levels [F, D] at the bins of the record; least: statistic from which on power decides. A frequency that is nearer to
@@ -66,8 +66,12 @@ def candidates(
 
 
 def strongest(
-    residual: np.ndarray, t: np.ndarray, levels: np.ndarray, lines: Sequence[Shape], ends: tuple[float, float]
-) -> Shape:
+    residual: np.ndarray,
+    t: np.ndarray,
+    levels: np.ndarray,
+    lines: Sequence[LineShape],
+    ends: tuple[float, float],
+) -> LineShape:
     """Return the steady line of most power, whether or not it stands out; arguments as of `candidates`."""
     return _Look.of(residual, t, levels, lines, ends, 0.0).all_along([0.0]).shape
 
@@ -90,7 +94,7 @@ class _Look:
         residual: np.ndarray,
         t: np.ndarray,
         levels: np.ndarray,
-        lines: Sequence[Shape],
+        lines: Sequence[LineShape],
         ends: tuple[float, float],
         least: float,
     ) -> "_Look":
@@ -106,17 +110,17 @@ class _Look:
         turned = _turned(hz, t - t[0])
         return _Look(residual, t, step, hz, turned, level, away, least)
 
-    def all_along(self, rates: Sequence[float]) -> Candidate:
+    def all_along(self, rates: Sequence[float]) -> LineCandidate:
         """Over the whole record. rates: e-foldings over it."""
-        shapes = [Shape(0.0, rate / float(np.ptp(self.t))) for rate in rates]
+        shapes = [LineShape(0.0, rate / float(np.ptp(self.t))) for rate in rates]
         envelopes = np.stack([shape.envelope(self.t) for shape in shapes], 1)  # [T, R]
         weighted = (self.residual[:, None] * envelopes[..., None]).reshape(len(self.t), -1)
         sums = (self.turned @ weighted).reshape(len(self.hz), len(shapes), -1)
         return self._highest(sums.transpose(1, 0, 2), (envelopes**2).sum(0), shapes)
 
-    def beginning(self) -> Candidate:
+    def beginning(self) -> LineCandidate:
         """Return the best line that begins a period or more into the record, at the first sample of a block."""
-        t, best = self.t, Candidate(Shape(0.0), 0.0)
+        t, best = self.t, LineCandidate(LineShape(0.0), 0.0)
         edges = np.unique(np.linspace(0, len(t), _BLOCKS + 1).astype(int))
         rates = np.array(_DECAYS) / float(np.ptp(t))
         sums = np.zeros((len(rates), *self.level.shape), complex)
@@ -129,11 +133,11 @@ class _Look:
             fresh = (self.turned[:, rows] @ weighted).reshape(len(self.hz), len(rates), -1)
             sums = fresh.transpose(1, 0, 2) + carried[:, None, None] * sums
             energies = (e**2).sum(1) + carried**2 * energies
-            shapes = [Shape(0.0, float(rate), int(first)) for rate in rates]
+            shapes = [LineShape(0.0, float(rate), int(first)) for rate in rates]
             best = best.or_better(self._highest(sums, energies, shapes), self.least)
         return best
 
-    def _highest(self, sums: np.ndarray, energies: np.ndarray, shapes: Sequence[Shape]) -> Candidate:
+    def _highest(self, sums: np.ndarray, energies: np.ndarray, shapes: Sequence[LineShape]) -> LineCandidate:
         """The best of R filters by sums [R, F, D] and energies [R], at the peak of the power nearby."""
         power = np.abs(sums) ** 2 / energies[:, None, None]
         lasts, before = energies[:, None] * self.step, self.t[shapes[0].start] - self.t[0]
@@ -142,7 +146,7 @@ class _Look:
         if before:
             allowed &= self.hz * before >= LEAST_PERIODS
         if not allowed.any():
-            return Candidate(shapes[0], 0.0)
+            return LineCandidate(shapes[0], 0.0)
         statistic = np.where(allowed, (power / self.level).sum(2), 0.0)
         total = (power / self.level.mean(0)).sum(2)
         stands_out = statistic >= self.least
@@ -153,7 +157,7 @@ class _Look:
         peak = first + int((near / self.level[at]).sum(1).argmax())
         hz = float(self.hz[peak if allowed[k, peak] else at])
         shape = replace(shapes[k], hz=hz)
-        return Candidate(shape, float(statistic[k, at]), float(total[k, at]))
+        return LineCandidate(shape, float(statistic[k, at]), float(total[k, at]))
 
 
 def _turned(hz: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -173,8 +177,8 @@ _PLACES = 3  # of pictures between two others, at most, that are distinguished
 
 
 def without_between(
-    record: Record, shapes: Sequence[Shape], between: np.ndarray
-) -> tuple[Record, list[Shape], bool] | None:
+    record: Record, shapes: Sequence[LineShape], between: np.ndarray
+) -> tuple[Record, list[LineShape], bool] | None:
     """Return the record without B-frames, its lines, and whether the B-frames differ from it.
 
     shapes: by falling strength. between [T] bool. None where all pictures count: the others are too few, or cannot
@@ -203,7 +207,7 @@ def without_between(
     return part, found, differ
 
 
-def _part_of(shape: Shape, forward: np.ndarray) -> Shape:
+def _part_of(shape: LineShape, forward: np.ndarray) -> LineShape:
     """The shape in those samples of its record alone."""
     modulation = None if shape.modulation is None else shape.modulation[forward]
     return replace(shape, start=int(np.searchsorted(forward, shape.start)), modulation=modulation)
@@ -216,7 +220,7 @@ def _mirrored(t: np.ndarray, hz: float) -> bool:
     return bool(overlap.max() > _OVERLAP)
 
 
-def _look_alike(part: Record, a: Shape, b: Shape) -> bool:
+def _look_alike(part: Record, a: LineShape, b: LineShape) -> bool:
     """Whether the other pictures alone do not resolve two lines."""
     return abs(part.folded(a.hz) - part.folded(b.hz)) < max(
         1 / float(np.ptp(part.t)), abs(a.decay) / (2 * np.pi)
@@ -224,7 +228,7 @@ def _look_alike(part: Record, a: Shape, b: Shape) -> bool:
 
 
 def _differ(
-    record: Record, shapes: Sequence[Shape], between: np.ndarray, levels: Sequence[np.ndarray]
+    record: Record, shapes: Sequence[LineShape], between: np.ndarray, levels: Sequence[np.ndarray]
 ) -> bool:
     """Whether any line has a different phasor in the B-frames; levels [D] of noise at each.
 
@@ -261,7 +265,7 @@ def _explained(record: Record, x: np.ndarray, more: np.ndarray, level: np.ndarra
     return float((((before**2).sum(0) - (after**2).sum(0)) / level).sum())
 
 
-def _own(record: Record, shape: Shape, between: np.ndarray) -> np.ndarray:
+def _own(record: Record, shape: LineShape, between: np.ndarray) -> np.ndarray:
     """[T, P] a line in the first, the second, … picture between two others, and as that changes over the record."""
     last = np.maximum.accumulate(np.where(between, -1, np.arange(len(between))))
     place = np.minimum(np.arange(len(between)) - last, _PLACES) * between

@@ -31,7 +31,7 @@ class Stat:
 
 
 @dataclass(frozen=True)
-class Panel:
+class FigurePanel:
     """A picture, a video or a drawing inside a figure."""
 
     kind: str  # "img", "video", "svg" or "missing"
@@ -48,7 +48,7 @@ class Panel:
 class Figure:
     """Panels side by side over one caption. `legend` is a drawing under them, for example a colour bar."""
 
-    panels: Sequence[Panel]
+    panels: Sequence[FigurePanel]
     caption: Words
     columns: int = 0  # 0 = as many as there are panels
     legend: Markup = field(default_factory=Markup)
@@ -139,20 +139,20 @@ def picture(
     crisp: bool = False,
     shape: str = "",
     photo: bool = False,
-) -> Panel:
+) -> FigurePanel:
     """A panel with a picture, uint8 or float in 0..1, [H, W, 3 | 4]; `crisp` enlarges with sharp pixels.
 
     `photo`: compressed with loss, and made no larger than a screen shows it.
     """
     source = photo_uri(image) if photo else data_uri("image/png", png_bytes(image))
     styles = [name for name, wanted in (("crisp", crisp), ("bare", image.shape[-1] == 4)) if wanted]
-    return Panel("img", label, source, alt=alt or label, style=" ".join(styles), shape=shape)
+    return FigurePanel("img", label, source, alt=alt or label, style=" ".join(styles), shape=shape)
 
 
-def film(mp4: bytes, still: np.ndarray, label: str = "", alt: str = "") -> Panel:
+def film(mp4: bytes, still: np.ndarray, label: str = "", alt: str = "") -> FigurePanel:
     """A panel with a video; `still` is the picture that is printed in its place."""
     height, width = still.shape[:2]
-    return Panel(
+    return FigurePanel(
         "video",
         label,
         data_uri("video/mp4", mp4),
@@ -162,14 +162,14 @@ def film(mp4: bytes, still: np.ndarray, label: str = "", alt: str = "") -> Panel
     )
 
 
-def drawing(svg: Markup, label: str = "") -> Panel:
+def drawing(svg: Markup, label: str = "") -> FigurePanel:
     """A panel with an inline SVG."""
-    return Panel("svg", label, drawing=svg)
+    return FigurePanel("svg", label, drawing=svg)
 
 
-def missing(reason: str, label: str = "") -> Panel:
+def missing(reason: str, label: str = "") -> FigurePanel:
     """A panel that says why there is nothing to see."""
-    return Panel("missing", label, alt=reason)
+    return FigurePanel("missing", label, alt=reason)
 
 
 def render_page(page: Page, more_style: str = "", more_script: str = "") -> str:
@@ -191,7 +191,7 @@ def render_page(page: Page, more_style: str = "", more_script: str = "") -> str:
     return template.render(page=page, style=style, script=script)
 
 
-def _panels(page: Page) -> Iterator[Panel]:
+def _panels(page: Page) -> Iterator[FigurePanel]:
     for block in (*page.lead, *(block for section in page.sections for block in section.blocks)):
         if isinstance(block, Figure):
             yield from block.panels

@@ -47,7 +47,7 @@ ROWS_AT_ONCE = 8192  # keeps the block being interleaved in the processor's cach
 
 
 @dataclass(frozen=True)
-class Plan:
+class PlyColumns:
     """The properties that hold each quantity; () if there are none."""
 
     colour: tuple[str, ...]
@@ -108,7 +108,7 @@ def _rename(names: dict[str, str], old: str, new: str) -> None:
     names.update(items)
 
 
-def _plan(names: dict[str, str], about: dict[str, Any] | None, options: Options) -> Plan:
+def _plan(names: dict[str, str], about: dict[str, Any] | None, options: Options) -> PlyColumns:
     notes: list[str] = []
     for pattern, kind in _KINDS.items():
         if (found := next((name for name in names if re.fullmatch(pattern, name)), None)) and about is None:
@@ -148,7 +148,7 @@ def _plan(names: dict[str, str], about: dict[str, Any] | None, options: Options)
     _check_floats(
         names, (*shape, *(colour if colour is not RGB else ()), *rest, *filter, *modes, *deviations)
     )
-    return Plan(colour, rest, scale, filter, m, deviations, about, tuple(notes))
+    return PlyColumns(colour, rest, scale, filter, m, deviations, about, tuple(notes))
 
 
 def _check_floats(names: dict[str, str], used: Sequence[str]) -> None:
@@ -206,7 +206,7 @@ def _deviations(names: dict[str, str], m: int) -> tuple[str, ...]:
     return wanted if there else ()
 
 
-def _read(file: BinaryIO, header: Header, vertex: Element, plan: Plan) -> SplatFile:
+def _read(file: BinaryIO, header: Header, vertex: Element, plan: PlyColumns) -> SplatFile:
     n, k, m = vertex.count, 1 + len(plan.rest) // 3, plan.modes
     is_double = any(vertex.properties[name] == "<f8" for name in model.POSITION)
     means = np.empty((n, 3), np.float64 if is_double else np.float32)

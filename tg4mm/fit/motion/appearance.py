@@ -15,7 +15,7 @@ from tg4mm.core.memory import release
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian, along_and_across, colour_jacobian
 from tg4mm.fit.motion.linear_fit import Correction
-from tg4mm.fit.motion.prior import Graph
+from tg4mm.fit.motion.prior import NeighbourGraph
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.pcg import pcg
 from tg4mm.fit.motion.solver.problem import Problem
@@ -130,7 +130,9 @@ class AppearanceProblem:
     buffers: Buffers = field(default_factory=Buffers, compare=False)
 
     @staticmethod
-    def of(views: Sequence[AppearanceView], weights: np.ndarray | None, graph: Graph) -> "AppearanceProblem":
+    def of(
+        views: Sequence[AppearanceView], weights: np.ndarray | None, graph: NeighbourGraph
+    ) -> "AppearanceProblem":
         laplacian = _laplacian(graph)
         seen = _rows(views, weights)
         scale = max(float(seen[:, 0].mean()), 1e-12)
@@ -183,7 +185,7 @@ def _rows(views: Sequence[AppearanceView], weights: np.ndarray | None) -> np.nda
     return np.maximum(total, 0)
 
 
-def _laplacian(graph: Graph) -> csr_matrix:
+def _laplacian(graph: NeighbourGraph) -> csr_matrix:
     """Laplacian of the graph's edges with its weights; mean diagonal 1."""
     n, weight = graph.n_gaussians, graph.edge_rows[:, 0] ** 2
     beside = csr_matrix((weight, graph.other, graph.start), shape=(n, n))

@@ -16,7 +16,7 @@ from tg4mm.core.progress import progress
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, concatenated, suffixed
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import LEAST, Hyperparameters
-from tg4mm.fit.motion.prior import Graph, edge_residual, reweight_edges
+from tg4mm.fit.motion.prior import NeighbourGraph, edge_residual, reweight_edges
 from tg4mm.fit.motion.solver.operator import Array, Fold, Operator
 from tg4mm.fit.motion.solver.pcg import Solution, fetched, pcg, sent
 from tg4mm.fit.motion.solver.problem import Problem
@@ -119,7 +119,7 @@ class LinearFit:
         return concatenated(out)
 
     def _second(
-        self, p: int, first: Arrays, correction: Correction | None, rounds: int, graph: Graph | None
+        self, p: int, first: Arrays, correction: Correction | None, rounds: int, graph: NeighbourGraph | None
     ) -> Arrays:
         before = self.operator(self.folds[p])
         operator = before if graph is None else before.with_graph(graph)
@@ -142,7 +142,7 @@ class LinearFit:
             fields = fields + step
         return {"fields": fields}
 
-    def _reweighted(self, first: Sequence[Arrays]) -> Graph | None:
+    def _reweighted(self, first: Sequence[Arrays]) -> NeighbourGraph | None:
         """The graph with edges reweighted; None where there is one fold, or the smoothness weight is the least."""
         if len(first) < 2 or self.hyper.smoothness_weight <= LEAST:
             return None

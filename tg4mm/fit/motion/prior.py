@@ -136,7 +136,7 @@ def times_blocks(blocks: np.ndarray, x: np.ndarray, onto: np.ndarray | None = No
 
 
 @dataclass(frozen=True)
-class Graph:
+class NeighbourGraph:
     """Edges and the prior's matrix, and the map from fields to displacement and rotation.
 
     The residual of edge (i, j) is row · (σ x_j − x_i), summed over the four rows of a field, with σ = (1, −1, −1, −1);
@@ -216,7 +216,9 @@ class Graph:
         return v_field.reshape(-1, 3)
 
 
-def build_graph(means: np.ndarray, axes: np.ndarray, scales: np.ndarray, count: int = COUNT) -> Graph:
+def build_graph(
+    means: np.ndarray, axes: np.ndarray, scales: np.ndarray, count: int = COUNT
+) -> NeighbourGraph:
     """The symmetrised graph of the `count` nearest neighbours of N > 1 Gaussians.
 
     means [N, 3] and scales [N, 3] in scene units, axes [N, 3, 3]: rotation matrices, whose columns the scales go with.
@@ -229,7 +231,7 @@ def build_graph(means: np.ndarray, axes: np.ndarray, scales: np.ndarray, count: 
     weight *= n / weight.sum()
     ways = (means[other] - means[owner]).astype(np.float64) / spacing
     edge_rows = np.sqrt(weight)[:, None] * np.concatenate([np.ones((len(ways), 1)), 0.5 * ways], 1)
-    return Graph(
+    return NeighbourGraph(
         start=np.searchsorted(owner, np.arange(n + 1)),
         other=other.astype(np.int32),
         edge_rows=edge_rows.astype(np.float32),
@@ -261,7 +263,7 @@ def _edges(distance: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndar
     return unique // n, unique % n, np.bincount(of, weight), float(np.median(spacing))
 
 
-def stiffness_root(graph: Graph) -> csr_matrix:
+def stiffness_root(graph: NeighbourGraph) -> csr_matrix:
     """Return S [4E, 4N] float64 with SᵀS = `graph.stiffness` of E edges: displacements, then gradients."""
     n = graph.n_gaussians
     owner = np.repeat(np.arange(n), np.diff(graph.start))
@@ -280,7 +282,7 @@ def stiffness_root(graph: Graph) -> csr_matrix:
     return csr_matrix(vstack(parts))
 
 
-def edge_residual(graph: Graph, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def edge_residual(graph: NeighbourGraph, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """[E] float32, scene units squared: the squared residual of every edge that fields a, b [R, 4N, 3] share.
 
     Their residuals' inner product over fields and x, y, z, for a weight of 1; 0 where it is negative.
@@ -292,7 +294,7 @@ def edge_residual(graph: Graph, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(np.maximum(both, 0), np.float32)
 
 
-def _residual(graph: Graph, owner: np.ndarray, field: np.ndarray) -> np.ndarray:
+def _residual(graph: NeighbourGraph, owner: np.ndarray, field: np.ndarray) -> np.ndarray:
     """[E, 3], for a weight of 1."""
     rows = field.reshape(-1, ROWS, 3)
     out = rows[graph.other, 0] - rows[owner, 0]
@@ -302,7 +304,7 @@ def _residual(graph: Graph, owner: np.ndarray, field: np.ndarray) -> np.ndarray:
     return np.asarray(out)
 
 
-def reweight_edges(graph: Graph, residual: np.ndarray) -> Graph:
+def reweight_edges(graph: NeighbourGraph, residual: np.ndarray) -> NeighbourGraph:
     """The graph with edges reweighted by `edge_residual` [E]; the same graph where that is 0 everywhere."""
     weight = graph.edge_rows[:, 0].astype(np.float64) ** 2
     mean = float((weight * residual).sum() / weight.sum())

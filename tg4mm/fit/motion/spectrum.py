@@ -82,7 +82,7 @@ def modes_of(
     magnified. Of more than 64 timesteps the weakest bins are dropped, 1e-4 of the power together; in it motion and
     appearance weigh the same. Where a `band` (Hz) is given and holds no frequency, the tone in it is one.
     """
-    clock = Clock.of(basis.shape[1] if times_s is None else times_s * fps)
+    clock = FrameClock.of(basis.shape[1] if times_s is None else times_s * fps)
     n_timesteps = clock.length
     basis = basis - basis.mean(1, keepdims=True)
     products = np.einsum("rnc,snc->rs", fields[..., :3], fields[..., :3], dtype=np.float64)
@@ -114,7 +114,7 @@ def _with_known(sinusoids: "Sinusoids", cycles: np.ndarray, n_timesteps: int) ->
 
 
 def _with_band(
-    sinusoids: "Sinusoids", series: np.ndarray, clock: "Clock", fps: float, band: tuple[float, float]
+    sinusoids: "Sinusoids", series: np.ndarray, clock: "FrameClock", fps: float, band: tuple[float, float]
 ) -> "Sinusoids":
     """Add the tone of series [R, F] in the band (Hz), if it contains no bin and no sinusoid."""
     n_timesteps = clock.length
@@ -125,7 +125,9 @@ def _with_band(
     return replace(sinusoids, cycles=np.sort(np.append(sinusoids.cycles, tone.hz * n_timesteps / fps)))
 
 
-def _with_bins(basis: np.ndarray, sinusoids: "Sinusoids", clock: "Clock") -> tuple[np.ndarray, np.ndarray]:
+def _with_bins(
+    basis: np.ndarray, sinusoids: "Sinusoids", clock: "FrameClock"
+) -> tuple[np.ndarray, np.ndarray]:
     """Cycles per capture [K], ascending, and phasors [K, R] of functions of time [R, F]."""
     n_timesteps = clock.length
     spectrum: dict[float, np.ndarray] = {}
@@ -163,21 +165,21 @@ def all_but_weakest(power: np.ndarray, some: np.ndarray, allowed: float) -> np.n
 
 
 @dataclass(frozen=True)
-class Clock:
+class FrameClock:
     """When F frames were taken, in frames from the first one on, and the even clock that they lie on."""
 
     frames: np.ndarray  # [F] float64
     length: int  # T of the even clock, from the first frame to the last
 
     @staticmethod
-    def of(frames: np.ndarray | int) -> "Clock":
+    def of(frames: np.ndarray | int) -> "FrameClock":
         """Make those of F frames, or of times [F] in frames."""
         if isinstance(frames, int):
-            return Clock(np.arange(frames, dtype=np.float64), frames)
+            return FrameClock(np.arange(frames, dtype=np.float64), frames)
         since = frames - frames[0]
         whole = np.round(since)
         since = np.where(np.abs(since - whole) < _ROUNDED, whole, since)
-        return Clock(since, int(whole[-1]) + 1)
+        return FrameClock(since, int(whole[-1]) + 1)
 
     @property
     def shares(self) -> np.ndarray:
@@ -204,18 +206,18 @@ class Sinusoids:
         slow = [np.sin(2 * np.pi * TREND_CYCLES * t)[:, None]] if self.trend else []
         return np.hstack([np.ones((len(t), 1)), *slow, np.cos(angles), np.sin(angles)])
 
-    def residual_power(self, y: np.ndarray, clock: Clock) -> float:
+    def residual_power(self, y: np.ndarray, clock: FrameClock) -> float:
         """Return the power that least squares leave of series y [F, R]."""
         return float((residual(y, self.regressors(clock.shares)) ** 2).sum())
 
 
-def find_sinusoids(series: np.ndarray, clock: Clock | None = None) -> Sinusoids:
+def find_sinusoids(series: np.ndarray, clock: FrameClock | None = None) -> Sinusoids:
     """The sinusoids that real series [R, F], weighted by their power, share; the mean over time is removed first.
 
     They are the lines of `tg4mm.core.lines`. None where Fourier bins describe the series as well.
     """
     y = (series - series.mean(1, keepdims=True)).T
-    clock = clock or Clock.of(len(y))
+    clock = clock or FrameClock.of(len(y))
     power = float((y**2).sum())
     none = Sinusoids(np.zeros(0))
     if len(y) < FEWEST or not power > 0:
@@ -233,7 +235,7 @@ def find_sinusoids(series: np.ndarray, clock: Clock | None = None) -> Sinusoids:
     return _on_bins(sinusoids) if _is_better(unexplained, bins_unexplained, power, len(y)) else none
 
 
-def _cycles(y: np.ndarray, clock: Clock) -> np.ndarray:
+def _cycles(y: np.ndarray, clock: FrameClock) -> np.ndarray:
     """[J] lines of series [F, R], ascending, apart from each other and from half the frame rate."""
     ends = 1 - _ON_BIN, clock.length / 2 - _APART
     left, strength, _ = np.linalg.svd(y, full_matrices=False)

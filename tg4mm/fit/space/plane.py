@@ -43,7 +43,7 @@ _BAYER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]
 
 
 @dataclass(frozen=True)
-class Cells:
+class Squares:
     """Squares on a picture; those at its right and lower edge may reach over it."""
 
     centres: np.ndarray  # [N, 2] pixels
@@ -51,7 +51,7 @@ class Cells:
     colours: np.ndarray  # [N, 3] mean over the cell; what lies outside repeats the edge
 
 
-def quadtree(picture: np.ndarray, budget: int, coarsest: int = COARSEST) -> Cells:
+def quadtree(picture: np.ndarray, budget: int, coarsest: int = COARSEST) -> Squares:
     """At most `budget` cells (or as many as there are of the coarsest): all nodes of the tree, the coarsest first.
 
     picture: [H, W, 3]. A cell is split while its squared deviation, summed over pixels and channels, is among the
@@ -74,7 +74,7 @@ def quadtree(picture: np.ndarray, budget: int, coarsest: int = COARSEST) -> Cell
         active = split.repeat(2, 0).repeat(2, 1)
     centres, sides, colours = (np.concatenate(parts) for parts in zip(*found, strict=True))
     inside = (centres - sides[:, None] / 2 < [width, height]).all(1)
-    return Cells(centres[inside], sides[inside], colours[inside])
+    return Squares(centres[inside], sides[inside], colours[inside])
 
 
 def _pyramid(picture: np.ndarray, coarsest: int) -> list[tuple[int, np.ndarray, np.ndarray]]:
@@ -135,16 +135,16 @@ def _coarsest(shape: tuple[int, ...], budget: int) -> int:
     return side
 
 
-def _backdrop(picture: np.ndarray, side: int) -> Cells:
+def _backdrop(picture: np.ndarray, side: int) -> Squares:
     """A regular grid from one edge of the picture to the other, over which it reaches, coloured by what lies below."""
     height, width = picture.shape[:2]
     rows, columns = (side * np.arange(-(-n // side) + 1) for n in (height, width))
     v, u = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
     colours = picture[np.minimum(v, height - 1), np.minimum(u, width - 1)].astype(np.float64)
-    return Cells(np.stack([u, v], 1).astype(np.float64), np.full(len(u), side), colours)
+    return Squares(np.stack([u, v], 1).astype(np.float64), np.full(len(u), side), colours)
 
 
-def _ranks(cells: Cells) -> np.ndarray:
+def _ranks(cells: Squares) -> np.ndarray:
     """[N] places in the order of depth: by size, then so that neighbours differ."""
     columns, rows = (cells.centres // cells.sides[:, None]).astype(int).T % 4
     return 16 * (np.log2(cells.sides) - np.log2(FINEST)) + _BAYER[rows, columns]

@@ -22,7 +22,7 @@ from tg4mm.research.bench.folder import claim_set, files_state, filmed_digest, s
 from tg4mm.research.bench.measure import alphas_of, weights_state
 from tg4mm.research.bench.methods import Method
 from tg4mm.research.bench.methods.known import External
-from tg4mm.research.bench.request import Plan
+from tg4mm.research.bench.request import BenchPlan
 from tg4mm.research.bench.scored import Checkout, cameras_of, picture_name, score_pictures, video_of
 from tg4mm.research.bench.sets import BenchSet, truth_at, truth_state
 from tg4mm.research.evaluate.lpips import load_lpips
@@ -34,7 +34,7 @@ _SCORES = {"version": Just(_VERSION), "entries": {str: {"asked": str, "scores": 
 
 
 @dataclass(frozen=True)
-class Line:
+class TableLine:
     """A row of the tables on one dataset."""
 
     row: str
@@ -55,8 +55,13 @@ def picture_folder(place: Path, row: str) -> Path:
 
 
 def run_job(
-    method: Method, data: BenchSet, out: Path, plan: Plan, vqa: Sequence[Checkout] = (), collect: bool = False
-) -> tuple[dict[str, Any], list[Line]]:
+    method: Method,
+    data: BenchSet,
+    out: Path,
+    plan: BenchPlan,
+    vqa: Sequence[Checkout] = (),
+    collect: bool = False,
+) -> tuple[dict[str, Any], list[TableLine]]:
     """Return the figures of `fit` and the method's rows, computed or read from an earlier call.
 
     collect: missing α are not computed. An α that fails is left out, with the reason in the row; if all fail, the first
@@ -74,20 +79,26 @@ def run_job(
     return figures, [_line(method, row, data, place, plan, vqa, collect) for row in method.rows]
 
 
-def is_finished(method: Method, data: BenchSet, out: Path, plan: Plan) -> bool:
+def is_finished(method: Method, data: BenchSet, out: Path, plan: BenchPlan) -> bool:
     """Return whether all rows have scores at every α, of any settings, to estimate the remaining time."""
     known = _Kept(job_folder(out, data, method) / SCORES).entries
     return all(f"{row} {alpha}" in known for row in method.rows for alpha in _alphas_by(method, data, plan))
 
 
-def _alphas_by(method: Method, data: BenchSet, plan: Plan) -> list[int]:
+def _alphas_by(method: Method, data: BenchSet, plan: BenchPlan) -> list[int]:
     """Return the α of `alphas_of` for which the method has pictures."""
     return [a for a in alphas_of(data, plan) if not isinstance(method, External) or method.has(data, a)]
 
 
 def _line(
-    method: Method, row: str, data: BenchSet, place: Path, plan: Plan, vqa: Sequence[Checkout], collect: bool
-) -> Line:
+    method: Method,
+    row: str,
+    data: BenchSet,
+    place: Path,
+    plan: BenchPlan,
+    vqa: Sequence[Checkout],
+    collect: bool,
+) -> TableLine:
     notes, failed, first = [], [], None
     kept = _Kept(place / SCORES)
     found: dict[str, dict[str, Any]] = {}
@@ -110,11 +121,11 @@ def _line(
     if first is not None and not found:
         raise first
     speed = None if not speeds or isinstance(method, External) else float(np.median(speeds))
-    return Line(row, method.name, found, speed, tuple(notes), tuple(failed))
+    return TableLine(row, method.name, found, speed, tuple(notes), tuple(failed))
 
 
 def _at(
-    method: Method, row: str, data: BenchSet, place: Path, alpha: int, plan: Plan, vqa: Sequence[Checkout],
+    method: Method, row: str, data: BenchSet, place: Path, alpha: int, plan: BenchPlan, vqa: Sequence[Checkout],
     kept: "_Kept", collect: bool,
 ) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
     if collect:
@@ -131,7 +142,13 @@ def _at(
 
 
 def rendered(
-    method: Method, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
+    method: Method,
+    row: str,
+    data: BenchSet,
+    place: Path,
+    capture: Capture,
+    alpha: float,
+    plan: BenchPlan,
 ) -> dict[str, Any]:
     """Render missing pictures; returns {recipe, n_images, frames_per_s}, which is written at the end."""
     recipe, old = _found(method, row, data, place, alpha, plan)
@@ -159,7 +176,7 @@ def rendered(
 
 
 def _found(
-    method: Method, row: str, data: BenchSet, place: Path, alpha: float, plan: Plan
+    method: Method, row: str, data: BenchSet, place: Path, alpha: float, plan: BenchPlan
 ) -> tuple[str, dict[str, Any] | None]:
     """Return a digest of everything that determines the pictures, and the record of existing ones."""
     recipe = json_digest({"data": data.digest, "alpha": alpha, **method.recipe(row, data, place, plan)})[:20]
@@ -194,7 +211,7 @@ class _Kept:
         return dict(entry["scores"]) if entry is not None and entry["asked"] == asked else None
 
     def scores(
-        self, row: str, alpha: int, asked: str, data: BenchSet, capture: Capture, folder: Path, plan: Plan,
+        self, row: str, alpha: int, asked: str, data: BenchSet, capture: Capture, folder: Path, plan: BenchPlan,
         vqa: Sequence[Checkout],
     ) -> dict[str, Any]:  # fmt: skip
         """Return the scores of a row at α, computed if missing or of another request."""
@@ -210,7 +227,7 @@ class _Kept:
         return scores
 
 
-def _asked(recipe: str, data: BenchSet, alpha: float, plan: Plan, vqa: Sequence[Checkout]) -> str:
+def _asked(recipe: str, data: BenchSet, alpha: float, plan: BenchPlan, vqa: Sequence[Checkout]) -> str:
     asked = {
         "recipe": recipe,
         "lpips": weights_state(plan),

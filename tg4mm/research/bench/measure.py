@@ -19,12 +19,12 @@ from tg4mm.core.values import Just, Maybe
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.bench.folder import CIRCUMSTANCES, circumstances, files_state, safe_name
-from tg4mm.research.bench.request import Plan, Scoring, Training
+from tg4mm.research.bench.request import BenchPlan, Scoring, Training
 from tg4mm.research.bench.sets import BenchSet, check_alphas, truth_state
 from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.research.evaluate.lpips import load_lpips
 from tg4mm.research.evaluate.run import CEILING, OURS, STATIC, evaluate_run
-from tg4mm.research.evaluate.scores import BACKGROUND, Candidate, Key, Subject, render_views, subject_of
+from tg4mm.research.evaluate.scores import BACKGROUND, Key, ScoredMotion, Subject, render_views, subject_of
 from tg4mm.research.paper.model import disk_mib
 from tg4mm.run import Run
 from tg4mm.run.log import DISPLACEMENT
@@ -70,7 +70,7 @@ def agreement(gaussians: Gaussians, exact: ModalMotion, data: BenchSet) -> np.nd
     """
     alpha = min(data.alphas, key=lambda a: abs(np.log((1 + a) * data.amplitude_px / _SHIFT_PX)))
     capture = load_capture(data.root, split="test", magnification=alpha)
-    images, moved = load_images(capture), Candidate("exact", exact)
+    images, moved = load_images(capture), ScoredMotion("exact", exact)
     times = looked_at(capture.n_timesteps, data.fps, data.frequency_hz)
     sums = np.zeros((len(gaussians), 3))  # made · made, made · true, true · true
     for camera in np.unique(capture.camera_ids).tolist():
@@ -130,7 +130,7 @@ FORM = {
 
 
 def measure(
-    place: Path, data: BenchSet, training: Training, plan: Plan, donor: Path | None = None
+    place: Path, data: BenchSet, training: Training, plan: BenchPlan, donor: Path | None = None
 ) -> dict[str, Any]:
     """Train and score in the folder `place`, or read the complete figures of an earlier call.
 
@@ -157,7 +157,7 @@ def measure(
     return figures
 
 
-def check_plan(sets: Sequence[BenchSet], plan: Plan) -> None:
+def check_plan(sets: Sequence[BenchSet], plan: BenchPlan) -> None:
     """Raise Tg4mmError for an α without ground truth and for unreadable weights, before hours of training."""
     check_alphas(sets, plan.alphas)
     if plan.lpips_weights:
@@ -187,7 +187,7 @@ def warm_up(place: Path, sets: Sequence[BenchSet], presets: Iterable[str], devic
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def is_measured(place: Path, data: BenchSet, training: Training, plan: Plan) -> bool:
+def is_measured(place: Path, data: BenchSet, training: Training, plan: BenchPlan) -> bool:
     """Return whether `measure` would find its figures."""
     kept = read_figures(place)
     return kept is not None and kept["request"] == _request(data, training, plan)
@@ -201,12 +201,12 @@ def read_figures(place: Path) -> dict[str, Any] | None:
         return None
 
 
-def alphas_of(data: BenchSet, plan: Plan) -> list[int]:
+def alphas_of(data: BenchSet, plan: BenchPlan) -> list[int]:
     """Return 0, the test split itself, and the requested α with ground truth."""
     return [0, *(a for a in data.alphas if plan.alphas is None or a in plan.alphas)]
 
 
-def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
+def _request(data: BenchSet, training: Training, plan: BenchPlan) -> dict[str, Any]:
     configs = parse_settings(training.settings, training.preset)
     trainer = {} if training.trainer is None else {"trainer": training.trainer.plain()}
     return trainer | {
@@ -224,7 +224,7 @@ def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
     }
 
 
-def weights_state(plan: Plan) -> list[Any]:
+def weights_state(plan: BenchPlan) -> list[Any]:
     """Return the state of the files of LPIPS' weights, as `files_state`."""
     return [files_state([path], path.parent) for path in plan.lpips_weights]
 
@@ -272,7 +272,7 @@ def _take_space(place: Path, data: BenchSet, training: Training, donor: Path) ->
 
 
 def _scored(
-    run: Run, way: Scoring, data: BenchSet, plan: Plan, place: Path, scores: dict[Key, dict[str, float]]
+    run: Run, way: Scoring, data: BenchSet, plan: BenchPlan, place: Path, scores: dict[Key, dict[str, float]]
 ) -> dict[str, Any]:
     return evaluate_run(
         run,
@@ -286,7 +286,7 @@ def _scored(
     )
 
 
-def _observed(run: Run, data: BenchSet, plan: Plan) -> dict[str, float | None]:
+def _observed(run: Run, data: BenchSet, plan: BenchPlan) -> dict[str, float | None]:
     train = load_capture(data.root)
     return observed_figures(subject_of(run, train, AS_CAPTURED, {}, plan.device), data, train)
 

@@ -59,7 +59,7 @@ PRESETS |= {
 
 
 @dataclass(frozen=True)
-class Step:
+class PresetStep:
     """A command."""
 
     name: str  # the path of its mark
@@ -104,7 +104,7 @@ class _Data:
 
 def steps_of(
     name: str | BenchPreset, out: str, python: str = sys.executable, choices: Choices = Choices()
-) -> list[Step]:
+) -> list[PresetStep]:
     """Return the steps of a preset in the folder `out`, in order: datasets, jobs, page.
 
     Raises BenchError for an unknown preset and two datasets of one folder.
@@ -116,7 +116,7 @@ def steps_of(
     datasets = _datasets(chosen, out)
     rendered = choices.options("alphas")
     found = [
-        Step(
+        PresetStep(
             data.step,
             (*program, "generate", data.options[0], "--out", data.parent, *data.options[1:], *rendered),
         )
@@ -129,10 +129,10 @@ def steps_of(
     for data in datasets:
         for method in (*chosen.methods, *outside):
             command = (*program, "bench", "job", data.given, method, *options)
-            found.append(Step(f"job/{data.label}/{method}", command, (data.step,)))
+            found.append(PresetStep(f"job/{data.label}/{method}", command, (data.step,)))
     given = (data.given for data in datasets)
     page = (*program, "bench", "scenes", *given, *options, "--same-time", "never", "--collect")
-    return [*found, Step("page", page, tuple(step.name for step in found))]
+    return [*found, PresetStep("page", page, tuple(step.name for step in found))]
 
 
 def _datasets(chosen: BenchPreset, out: str) -> list[_Data]:

@@ -73,7 +73,7 @@ class Training:
 
 
 @dataclass(frozen=True)
-class Plan:
+class BenchPlan:
     """Options of all runs of a benchmark."""
 
     alphas: tuple[float, ...] | None = None  # None: all with ground truth

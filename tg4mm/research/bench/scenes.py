@@ -11,13 +11,13 @@ from tg4mm.core.progress import progress
 from tg4mm.fit.motion.config import asked_band
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.folder import FORMAT, VERSION, circumstances, open_folder, why_failed
-from tg4mm.research.bench.jobs import Line, is_finished, job_folder, run_job
+from tg4mm.research.bench.jobs import TableLine, is_finished, job_folder, run_job
 from tg4mm.research.bench.means import JUDGED, group_means, less, line_means
 from tg4mm.research.bench.measure import alphas_of, check_plan, is_measured, warm_up
 from tg4mm.research.bench.methods import Method, Trained
 from tg4mm.research.bench.methods.known import DEFAULT, External, methods_of
 from tg4mm.research.bench.pages.write import write_page, write_results
-from tg4mm.research.bench.request import Plan, Training, check_settings, same_time_training
+from tg4mm.research.bench.request import BenchPlan, Training, check_settings, same_time_training
 from tg4mm.research.bench.scored import Checkout, with_closure
 from tg4mm.research.bench.sets import BenchSet, group_titles, open_sets, open_those_that_open, torn_truth
 from tg4mm.research.evaluate.run import CEILING, STATIC
@@ -35,7 +35,7 @@ class ScenesRequest:
     settings: dict[str, dict[str, str]] = field(default_factory=dict)  # by preset, as `--set`
     external: tuple[External, ...] = ()
     same_time: str = "needed"
-    plan: Plan = field(default_factory=Plan)
+    plan: BenchPlan = field(default_factory=BenchPlan)
     vqa: tuple[Checkout, ...] = ()
     collect: bool = False  # only make the tables of finished jobs
 
@@ -194,7 +194,7 @@ class _Bench:
                 f"{method.name} on {data.label} is not finished, or is of other settings or pictures"
             )
 
-    def _keep(self, method: Method, data: BenchSet, figures: dict[str, Any], lines: list[Line]) -> None:
+    def _keep(self, method: Method, data: BenchSet, figures: dict[str, Any], lines: list[TableLine]) -> None:
         if isinstance(method, Trained):
             self.figures[data.label][method.training.name] = figures
             self.runs.append(run_entry(data, method.training.name, method.training, figures))

@@ -69,7 +69,7 @@ def write_truth(root: Path) -> list[Path]:
     """
     capture = load_capture(root, split="test")
     truth = load_truth(root, capture.fps, capture.n_timesteps)
-    views = _Views(root, capture, truth)
+    views = _TestViews(root, capture, truth)
     every = np.concatenate([view.rest for view in views.seen.values()])
     followed = follow(truth, every)
     ends = np.cumsum([0, *(len(view.rest) for view in views.seen.values())])
@@ -92,7 +92,7 @@ class _View:
     now: np.ndarray  # [N, 3]
 
 
-class _Views:
+class _TestViews:
     """Per-pixel truth of the test views; timesteps with the same file are read once."""
 
     def __init__(self, root: Path, capture: Capture, truth: Truth) -> None:
@@ -153,7 +153,7 @@ def _read(file: Path, size: tuple[int, int]) -> _View:
     return _View(depth, mask, now - found[mask][:, 4:7], now)
 
 
-def _write_picture(place: Path, views: _Views, image: int, followed: Followed) -> None:
+def _write_picture(place: Path, views: _TestViews, image: int, followed: Followed) -> None:
     view, capture = views.view(image), views.capture
     name = Path("test") / f"{capture.timesteps[image]:03d}" / capture.paths[image].stem
     parts = np.zeros(view.mask.shape, np.uint8 if followed.part.max(initial=0) < 255 else np.uint16)
@@ -185,7 +185,7 @@ def _write_png(path: Path, numbers: np.ndarray) -> None:
     write_atomic(path, lambda temporary: Image.fromarray(numbers).save(temporary, "PNG"))
 
 
-def _write_tracks(path: Path, views: _Views, of: dict[tuple[int, int], Followed]) -> None:
+def _write_tracks(path: Path, views: _TestViews, of: dict[tuple[int, int], Followed]) -> None:
     """Write points visible in the first pictures of all cameras, evenly thinned, for every camera and timestep."""
     capture = views.capture
     cameras = np.unique(capture.camera_ids)
@@ -215,7 +215,7 @@ def _savez(path: Path, arrays: dict[str, np.ndarray]) -> None:
         np.savez_compressed(file, **arrays)
 
 
-def _images(views: _Views, cameras: np.ndarray, steps: np.ndarray) -> Iterator[tuple[int, int, int]]:
+def _images(views: _TestViews, cameras: np.ndarray, steps: np.ndarray) -> Iterator[tuple[int, int, int]]:
     for c, camera in enumerate(cameras):
         for t, step in enumerate(steps):
             if (image := views.at.get((int(camera), int(step)))) is not None:

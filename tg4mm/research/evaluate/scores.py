@@ -41,7 +41,7 @@ class Posing:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ScoredMotion:
     """One row of the table: the Gaussians moved by `motion` (None: at rest), magnified in the bands of `magnified`."""
 
     name: str
@@ -98,7 +98,7 @@ class Scorer:
 
     def score(
         self,
-        methods: list[Candidate],
+        methods: list[ScoredMotion],
         capture: Capture,
         images: ImageStack,
         alpha: float,
@@ -123,7 +123,7 @@ class Scorer:
         return {name: [self.scores[key] for key in rows] for name, rows in keys.items()}
 
     def _keys(
-        self, methods: list[Candidate], capture: Capture, images: ImageStack, alpha: float
+        self, methods: list[ScoredMotion], capture: Capture, images: ImageStack, alpha: float
     ) -> dict[str, list[Key]]:
         """Return, for each method, the key (motion state, camera, pixels) of each image."""
         n = range(len(images))
@@ -135,7 +135,7 @@ class Scorer:
         return {m.name: [(states[m.name][int(capture.timesteps[i])], *scenes[i]) for i in n] for m in methods}
 
     def _score_state(
-        self, method: Candidate, capture: Capture, images: ImageStack, alpha: float, wanted: dict[Key, int]
+        self, method: ScoredMotion, capture: Capture, images: ImageStack, alpha: float, wanted: dict[Key, int]
     ) -> Iterator[tuple[Key, dict[str, float]]]:
         """Score the images `wanted` of one motion state; each camera is rendered once, a few at a time."""
         by_camera: dict[Any, list[Key]] = {}
@@ -183,8 +183,8 @@ def closure(ours: float, static: float, ceiling: float) -> float | None:
 
 def change_figures(
     gaussians: Gaussians,
-    ours: Candidate,
-    ceiling: Candidate,
+    ours: ScoredMotion,
+    ceiling: ScoredMotion,
     capture: Capture,
     alpha: float,
     update: Callable[[int], None] = lambda done: None,
@@ -197,7 +197,7 @@ def change_figures(
     """
     products = np.zeros(3)  # a·a, a·c, c·c
     known: dict[Key, np.ndarray] = {}
-    rest = Candidate("rest", None)
+    rest = ScoredMotion("rest", None)
     for t in np.unique(capture.timesteps).tolist():
         rows = np.flatnonzero(capture.timesteps == t)
         states = ours.state(t, alpha), ceiling.state(t, alpha)
@@ -243,12 +243,12 @@ class Subject:
     posing: Posing | None  # None: modal, by the estimated motion
 
     @property
-    def methods(self) -> list[Candidate]:
-        found = [Candidate(STATIC, None)]
+    def methods(self) -> list[ScoredMotion]:
+        found = [ScoredMotion(STATIC, None)]
         if self.estimated is not None:
-            found.append(Candidate(OURS, self.estimated, self.magnified, self.posing))
+            found.append(ScoredMotion(OURS, self.estimated, self.magnified, self.posing))
         if self.exact is not None:
-            found.append(Candidate(CEILING, self.exact))
+            found.append(ScoredMotion(CEILING, self.exact))
         return found
 
 

@@ -21,7 +21,7 @@ from tg4mm.core.values import POSITIVE, SEED, Number, require
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import SpaceConfig
 from tg4mm.fit.space.config import MOST_ITERATIONS
-from tg4mm.research.paper.triplane import BASE, Cells, Decoder, cells_of, sample
+from tg4mm.research.paper.triplane import BASE, Decoder, TouchedCells, cells_of, sample
 from tg4mm.run import Run
 
 
@@ -126,7 +126,7 @@ class PaperModel:
     residual: bool = True
 
     @cached_property
-    def cells(self) -> Cells:
+    def cells(self) -> TouchedCells:
         return cells_of(self.points.numpy(), self.box.numpy(), self.planes.shape[-1])
 
     @property
@@ -170,13 +170,13 @@ class PaperModel:
         }
 
 
-def active(planes: Tensor, cells: Cells) -> Tensor:
+def active(planes: Tensor, cells: TouchedCells) -> Tensor:
     """[A, C] values of dense planes [3, C, R, R] at the active cells."""
     flat = planes.permute(1, 0, 2, 3).reshape(planes.shape[1], -1)
     return flat[:, torch.from_numpy(cells.dense)].T.contiguous()
 
 
-def with_active(planes: Tensor, cells: Cells, values: Tensor) -> Tensor:
+def with_active(planes: Tensor, cells: TouchedCells, values: Tensor) -> Tensor:
     """Dense planes [3, C, R, R] with the active cells replaced by values [A, C]."""
     c, r = planes.shape[1], planes.shape[-1]
     flat = planes.permute(1, 0, 2, 3).reshape(c, -1).clone()

@@ -43,7 +43,7 @@ from tg4mm.research.paper.model import (
 )
 from tg4mm.research.paper.motion import train_timesteps
 from tg4mm.research.paper.space import first_views, train_triplane
-from tg4mm.research.paper.triplane import Cells, Decoder
+from tg4mm.research.paper.triplane import Decoder, TouchedCells
 from tg4mm.run import Run
 from tg4mm.run.preset import Poses, Preset
 from tg4mm.run.stages import train_space
@@ -187,7 +187,7 @@ def _finished(file: Path, shape: tuple[int, int, int]) -> list[int]:
     return checksums if is_same else []
 
 
-def at_points(video: np.ndarray, cells: Cells, k: int) -> np.ndarray:
+def at_points(video: np.ndarray, cells: TouchedCells, k: int) -> np.ndarray:
     """[T, N] a plane's video [T, R, R] at the points, by their bilinear weights on plane k."""
     flat = video.reshape(len(video), -1)
     where = cells.dense[cells.index[k]] - k * cells.resolution**2

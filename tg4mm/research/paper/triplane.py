@@ -19,9 +19,9 @@ from torch.nn.functional import gelu, linear
 from tg4mm.fit.gaussians import Gaussians
 
 
-class _Sample(torch.autograd.Function):
+class _TriplaneSample(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, values: Tensor, cells: "Cells") -> Tensor:
+    def forward(ctx: Any, values: Tensor, cells: "TouchedCells") -> Tensor:
         out = torch.empty(cells.index.shape[1], 3 * values.shape[1])
         gather(values.detach().contiguous().numpy(), cells.index, cells.weight, out.numpy())
         ctx.cells, ctx.channels = cells, values.shape[1]
@@ -36,7 +36,7 @@ class _Sample(torch.autograd.Function):
         return v_values, None
 
 
-def sample(values: Tensor, cells: "Cells") -> Tensor:
+def sample(values: Tensor, cells: "TouchedCells") -> Tensor:
     """Embedding [N, 3 C] of the points from values [A, C] float32 of the active cells; concatenated xy, xz, yz.
 
     CPU tensors go to numba kernels, others through torch (whose sums of gradients run by atomics on CUDA).
@@ -45,11 +45,11 @@ def sample(values: Tensor, cells: "Cells") -> Tensor:
     if values.ndim != 2 or len(values) != len(cells):
         raise ValueError(f"values have shape {tuple(values.shape)}, expected ({len(cells)}, channels)")
     if values.device.type == "cpu" and values.dtype == torch.float32:
-        return _Sample.apply(values, cells)
+        return _TriplaneSample.apply(values, cells)
     return sample_torch(values, cells)
 
 
-def sample_torch(values: Tensor, cells: "Cells") -> Tensor:
+def sample_torch(values: Tensor, cells: "TouchedCells") -> Tensor:
     """The same by torch's own operations, on any device and in any precision."""
     index, weight = _on(cells, values.device)
     parts = (values[index] * weight.to(values.dtype)[..., None]).sum(2)  # [3, N, C]
@@ -57,7 +57,7 @@ def sample_torch(values: Tensor, cells: "Cells") -> Tensor:
 
 
 @lru_cache(maxsize=2)
-def _on(cells: "Cells", device: torch.device) -> tuple[Tensor, Tensor]:
+def _on(cells: "TouchedCells", device: torch.device) -> tuple[Tensor, Tensor]:
     """Index and weight, brought to a device once."""
     return torch.from_numpy(cells.index.astype(np.int64)).to(device), torch.from_numpy(cells.weight).to(
         device
@@ -87,7 +87,7 @@ def gather_back(
     share: np.ndarray,
     v_values: np.ndarray,
 ) -> None:
-    """The transpose: v_values [A, C] from v_out [N, 3 C]; entries of every cell as in `Cells`."""
+    """The transpose: v_values [A, C] from v_out [N, 3 C]; entries of every cell as in `TouchedCells`."""
     channels = v_values.shape[1]
     for a in numba.prange(len(first) - 1):
         for i in range(channels):
@@ -103,7 +103,7 @@ _OUTER = (0.5, 99.5)  # percentiles of the points that the box spans; points bey
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class TouchedCells:
     """A cells of three R×R planes, touched by N points; all indices are into the A compact cells.
 
     A point's value on plane k is Σ_j weight[k, n, j] · values[index[k, n, j]].
@@ -133,7 +133,7 @@ def scene_box(points: np.ndarray) -> np.ndarray:
     return np.stack([low, np.maximum(high, low + 1e-6)])
 
 
-def cells_of(points: np.ndarray, box: np.ndarray, resolution: int) -> Cells:
+def cells_of(points: np.ndarray, box: np.ndarray, resolution: int) -> TouchedCells:
     """The cells that points [N, 3] touch; `box` [2, 3] is normalised to 0..1, cell centres on its border included.
 
     As `grid_sample` with `align_corners=True, padding_mode="border"` on planes whose rows are the second coordinate.
@@ -152,7 +152,7 @@ def cells_of(points: np.ndarray, box: np.ndarray, resolution: int) -> Cells:
     dense, compact = np.unique(index.ravel(), return_inverse=True)
     order = np.argsort(compact, kind="stable")
     n = len(points)
-    return Cells(
+    return TouchedCells(
         resolution=resolution,
         dense=dense,
         index=compact.reshape(index.shape).astype(np.int32),

@@ -26,7 +26,7 @@ _DRAWS = 24
 
 
 @dataclass(frozen=True)
-class Mode:
+class FittedMode:
     """A mode: `shape` is 1 at its largest channel, `mac` compares it with the other method's shape, if there is one."""
 
     frequency_hz: Value
@@ -41,7 +41,7 @@ class Modes:
 
     method: str
     channels: tuple[str, ...]
-    modes: tuple[Mode, ...]
+    modes: tuple[FittedMode, ...]
     diagram: np.ndarray  # [P, 3]
 
 
@@ -86,7 +86,7 @@ def operational(channels: Sequence[Channel], band: tuple[float, float] | None = 
         with _quiet():
             fdd.mpe(sel_freq=[hz.value], DF=max(0.05 * hz.value, 2 * first.rate / fdd.run_params.nxseg))
         other = fdd.result.Phi[:, 0]
-        modes.append(Mode(hz, damping, _scaled(shape[k] * scale), mac(shape[k], other)))
+        modes.append(FittedMode(hz, damping, _scaled(shape[k] * scale), mac(shape[k], other)))
     names = tuple(c.name for c in channels)
     return Modes("SSI-cov", names, tuple(sorted(modes, key=lambda m: m.frequency_hz.value)), diagram)
 
@@ -134,7 +134,7 @@ def from_transfers(transfers: Sequence[Transfer], band: tuple[float, float] | No
         if f > (1 - _END) * hz[-1]:  # modes beyond the range bias it, which no draw shows
             spread = np.array([np.nan, np.nan])
         sure, sure_z = np.hypot(spread[:2], scatter).tolist()
-        modes.append(Mode(Value(f, sure), Value(z, sure_z), shape))
+        modes.append(FittedMode(Value(f, sure), Value(z, sure_z), shape))
     return Modes("LSCF", tuple(t.response for t in transfers), tuple(modes), diagram)
 
 

@@ -11,7 +11,7 @@ from tg4mm.show.analyse.channel import Channel
 from tg4mm.show.analyse.modal import Modes
 from tg4mm.show.analyse.orders import OrderTrack
 from tg4mm.show.analyse.quantities import ThirdOctave, converted
-from tg4mm.show.analyse.record import Record
+from tg4mm.show.analyse.record import AnalysedRecord
 from tg4mm.show.analyse.spectra import Averaging, Density, waterfall_of
 from tg4mm.show.analyse.transfer import Curve, Transfer
 
@@ -26,7 +26,7 @@ def _chart(plt: Any, title: str, **labels: Any) -> tuple[Any, Any]:
     return figure, axes
 
 
-def spectra(plt: Any, record: Record, found: Sequence[Density]) -> Figures:
+def spectra(plt: Any, record: AnalysedRecord, found: Sequence[Density]) -> Figures:
     """Yield each channel's spectrum, and the orbit of each pair of one sensor's axes."""
     for channel, density in zip(record.channels, found, strict=True):
         yield channel.name, _spectrum(plt, channel, density, record.averaging)
@@ -36,7 +36,7 @@ def spectra(plt: Any, record: Record, found: Sequence[Density]) -> Figures:
             yield f"orbit {sensor} {a.name[-5:]} {b.name[-5:]}", _orbit(plt, a, b)
 
 
-def third_octaves(plt: Any, record: Record, found: Sequence[ThirdOctave]) -> Figures:
+def third_octaves(plt: Any, record: AnalysedRecord, found: Sequence[ThirdOctave]) -> Figures:
     """Yield the bands of each channel in its quantity."""
     own = {c.name: c.quantity for c in record.channels}
     for name, group in groupby((b for b in found if b.quantity == own[b.channel]), lambda b: b.channel):
@@ -51,7 +51,7 @@ def third_octaves(plt: Any, record: Record, found: Sequence[ThirdOctave]) -> Fig
         yield f"third octaves {name}", figure
 
 
-def transfers(plt: Any, record: Record, found: Sequence[Transfer]) -> Figures:
+def transfers(plt: Any, record: AnalysedRecord, found: Sequence[Transfer]) -> Figures:
     """Yield size, phase and coherence of each transfer function."""
     for t in found:
         figure, parts = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout="constrained")
@@ -71,7 +71,7 @@ def transfers(plt: Any, record: Record, found: Sequence[Transfer]) -> Figures:
         yield f"transfer {t.response}", figure
 
 
-def curves(plt: Any, record: Record, found: Sequence[Curve]) -> Figures:
+def curves(plt: Any, record: AnalysedRecord, found: Sequence[Curve]) -> Figures:
     """Yield each instrument's curve with the channel's."""
     for c in found:
         title = f"{c.band_hz[0]:.3g} to {c.band_hz[1]:.4g} Hz; band: one standard deviation"
@@ -85,7 +85,7 @@ def curves(plt: Any, record: Record, found: Sequence[Curve]) -> Figures:
         yield f"reference {c.channel}", figure
 
 
-def stabilisation(plt: Any, record: Record, found: Sequence[Modes]) -> Figures:
+def stabilisation(plt: Any, record: AnalysedRecord, found: Sequence[Modes]) -> Figures:
     """Yield the stabilisation diagram of each method."""
     for m in found:
         labels = {"xlabel": "frequency, Hz", "ylabel": "order of the model"}
@@ -99,7 +99,7 @@ def stabilisation(plt: Any, record: Record, found: Sequence[Modes]) -> Figures:
         yield f"stabilisation {m.method}", figure
 
 
-def orders(plt: Any, record: Record, found: Sequence[OrderTrack]) -> Figures:
+def orders(plt: Any, record: AnalysedRecord, found: Sequence[OrderTrack]) -> Figures:
     """Yield the amplitudes of each channel's orders."""
     for name in dict.fromkeys(o.channel for o in found):
         yield f"orders {name}", _orders(plt, [o for o in found if o.channel == name])

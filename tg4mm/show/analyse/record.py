@@ -23,7 +23,7 @@ _LEAST = 3.0  # deviations within which lines are the same
 
 
 @dataclass(frozen=True)
-class Found:
+class DetectedLine:
     """A line of a sensor or channel; `unit` of its amplitude, zero to peak."""
 
     where: str
@@ -46,7 +46,7 @@ class Change:
     changed: bool
 
 
-def lines_of(path: Path) -> list[Found]:
+def lines_of(path: Path) -> list[DetectedLine]:
     """Return a measurement's peaks along each sensor's main axis, or the lines of a CSV file's channels."""
     if path.is_file():
         return [found for channel in read_channels(path) for found in _of_channel(channel)]
@@ -61,26 +61,26 @@ def lines_of(path: Path) -> list[Found]:
         ]
 
 
-def _of_peak(sensor: Any, peak: Any, base: str, factor: float) -> Found:
+def _of_peak(sensor: Any, peak: Any, base: str, factor: float) -> DetectedLine:
     size = Value(float(peak["main_amplitude"]) * factor, float(peak["main_deviation"] or 0) * factor)
     hz = Value(float(peak["frequency_hz"]), float(peak["frequency_deviation_hz"]))
     ratio, sure = peak["damping_ratio"], peak["damping_deviation"]
     damping = None if ratio is None or sure is None else Value(float(ratio), float(sure))
-    return Found(str(sensor["name"]), base, hz, size, damping)
+    return DetectedLine(str(sensor["name"]), base, hz, size, damping)
 
 
-def _of_channel(channel: Channel) -> list[Found]:
+def _of_channel(channel: Channel) -> list[DetectedLine]:
     out = []
     for line in channel.lines:
         size = float(line.amplitude[0])
         spread = float(np.hypot(line.amplitude_deviation[0], channel.share * size))
         damping = None if line.damping is None else Value(line.damping, line.damping_deviation or 0.0)
         hz = Value(line.hz, line.hz_deviation)
-        out.append(Found(channel.name, channel.unit, hz, Value(size, spread), damping))
+        out.append(DetectedLine(channel.name, channel.unit, hz, Value(size, spread), damping))
     return out
 
 
-def compared(before: Sequence[Found], after: Sequence[Found]) -> tuple[list[Change], list[str]]:
+def compared(before: Sequence[DetectedLine], after: Sequence[DetectedLine]) -> tuple[list[Change], list[str]]:
     """Return the changes of common lines, and sentences about other lines. Raises AnalyseError for two units."""
     units = {f.unit for f in (*before, *after)}
     if len(units) > 1:
@@ -102,13 +102,13 @@ def compared(before: Sequence[Found], after: Sequence[Found]) -> tuple[list[Chan
     return [replace(row, changed=abs(row.score) > least) for row in rows], alone
 
 
-def _distance(a: Found, b: Found) -> float:
+def _distance(a: DetectedLine, b: DetectedLine) -> float:
     """Return the distance of two lines; below 1 they may be the same."""
     reach = _NEAR * a.frequency.value, _LEAST * np.hypot(a.frequency.deviation, b.frequency.deviation)
     return abs(a.frequency.value - b.frequency.value) / float(max(reach))
 
 
-class Record:
+class AnalysedRecord:
     """A record with the options of its analysis. Raises AnalyseError for unusable files or options."""
 
     def __init__(self, path: Path, options: AnalyseOptions) -> None:

@@ -24,7 +24,7 @@ from tg4mm.show.analyse.quantities import (
     third_octaves_of,
     zone_of,
 )
-from tg4mm.show.analyse.record import Change, Record
+from tg4mm.show.analyse.record import AnalysedRecord, Change
 from tg4mm.show.analyse.spectra import density_of
 from tg4mm.show.analyse.transfer import Curve, Transfer, curve_of, phases_of
 from tg4mm.show.options import AnalyseOptions
@@ -41,16 +41,18 @@ class Quantity:
     """An engineering quantity; tables without rows are left out."""
 
     name: str  # of its results in analysis.json
-    compute: Callable[[Record], Iterable[Any]]
+    compute: Callable[[AnalysedRecord], Iterable[Any]]
     printed: tuple[str, ...] = ()  # head of the printed table
     lines: Callable[[Any], Rows] = _nothing  # of the printed table, texts of one result
     file: str = ""  # CSV file
     columns: tuple[str, ...] = ()
     rows: Callable[[Any], Rows] = _nothing  # of the CSV file, texts and numbers of one result
-    plot: Callable[[Any, Record, Sequence[Any]], Iterator[tuple[str, Any]]] | None = None  # names and figures
+    plot: Callable[[Any, AnalysedRecord, Sequence[Any]], Iterator[tuple[str, Any]]] | None = (
+        None  # names and figures
+    )
 
 
-def _levels(record: Record) -> Iterator[Levels]:
+def _levels(record: AnalysedRecord) -> Iterator[Levels]:
     for channel in record.channels:
         for quantity in record.quantities(channel):
             yield levels_of(channel, quantity, record.options.band)
@@ -70,7 +72,7 @@ def _level_rows(v: Levels) -> Rows:
             yield v.channel, v.quantity, v.unit, *v.band_hz, name, own.value, own.deviation
 
 
-def _third_octaves(record: Record) -> Iterator[ThirdOctave]:
+def _third_octaves(record: AnalysedRecord) -> Iterator[ThirdOctave]:
     for channel in record.channels:
         for quantity in record.quantities(channel):
             yield from third_octaves_of(channel, quantity)
@@ -93,7 +95,7 @@ def _transfer_rows(t: Transfer) -> Rows:
         yield t.response, t.reference, t.unit, *values
 
 
-def _curves(record: Record) -> list[Curve]:
+def _curves(record: AnalysedRecord) -> list[Curve]:
     clock = record.clock
     if clock is None or clock.quantity not in ORDER or not record.moving:
         return []
@@ -110,7 +112,7 @@ def _curve_rows(c: Curve) -> Rows:
         yield c.channel, c.reference, c.unit, f"{t:.9g}", value, c.deviation, other
 
 
-def _modes(record: Record) -> Iterator[Modes]:
+def _modes(record: AnalysedRecord) -> Iterator[Modes]:
     if record.options.modes:
         yield operational(record.moving, record.options.band)
         if record.transfers:
@@ -124,7 +126,7 @@ def _mode_lines(m: Modes) -> Rows:
         yield m.method, _both(mode.frequency_hz), _both(percent), mac
 
 
-def _orders(record: Record) -> Iterator[OrderTrack]:
+def _orders(record: AnalysedRecord) -> Iterator[OrderTrack]:
     if record.speed is not None:
         for c in record.moving:
             yield from orders_of(c, record.speed_at(c), record.options.orders, record.averaging)
@@ -240,7 +242,7 @@ QUANTITIES = (
 class Analysis:
     """The results of a record, by the names in `QUANTITIES`."""
 
-    record: Record
+    record: AnalysedRecord
     results: dict[str, tuple[Any, ...]]
     notes: tuple[str, ...] = ()
 
@@ -250,7 +252,7 @@ class Analysis:
 
 def analyse(path: Path, options: AnalyseOptions | None = None) -> Analysis:
     """Compute all quantities of a folder of `tg4mm measure`, a CSV file or a universal file. Raises AnalyseError."""
-    record, results = Record(path, options or AnalyseOptions()), {}
+    record, results = AnalysedRecord(path, options or AnalyseOptions()), {}
     with progress("analysis", len(QUANTITIES), "quantities", brief=True) as update:
         for done, quantity in enumerate(QUANTITIES, 1):
             results[quantity.name] = tuple(quantity.compute(record))

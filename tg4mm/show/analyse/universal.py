@@ -31,7 +31,7 @@ def is_universal(path: Path) -> bool:
 
 
 @dataclass(frozen=True)
-class Waveform:
+class TimeFunction:
     """One function of time."""
 
     name: str
@@ -43,11 +43,11 @@ class Waveform:
     is_deviation: bool
 
 
-def waveforms(path: Path) -> list[Waveform]:
+def waveforms(path: Path) -> list[TimeFunction]:
     """All functions of time. Raises AnalyseError where there are none, and for a file that is damaged."""
     if path.stat().st_size > MOST_BYTES:
         raise AnalyseError(f"{path} is larger than {MOST_BYTES >> 30} GiB")
-    found, metres = list[Waveform](), 1.0
+    found, metres = list[TimeFunction](), 1.0
     try:
         for number, lines, content in _sets(path.read_bytes()):
             if number == "164":
@@ -89,7 +89,7 @@ def _sets(data: bytes) -> Iterator[tuple[str, list[str], bytes]]:
         at = end.end()
 
 
-def _waveform(number: str, lines: list[str], content: bytes, metres: float) -> Waveform | None:
+def _waveform(number: str, lines: list[str], content: bytes, metres: float) -> TimeFunction | None:
     data_type, count, spacing = (int(lines[6][k : k + 10]) for k in (0, 10, 20))
     start, step = (float(lines[6][k : k + 13]) for k in (30, 43))
     if int(lines[7][:10]) != _TIME or data_type not in (_SINGLE, _DOUBLE):
@@ -110,7 +110,7 @@ def _waveform(number: str, lines: list[str], content: bytes, metres: float) -> W
     named = lines[0].split(",")[0].strip()
     name = f"{named if named not in ('', 'NONE') else node}/{'-' * (direction < 0)}{axis}"
     kind, unit = int(lines[8][:10]), lines[8][47:67].strip()
-    return Waveform(name, kind, unit, metres, times, values, _DEVIATION in lines[1])
+    return TimeFunction(name, kind, unit, metres, times, values, _DEVIATION in lines[1])
 
 
 def _numbers(text: str, widths: tuple[int, ...]) -> Iterator[float]:

@@ -14,7 +14,7 @@ from tg4mm.capture.look.peaks import LOWEST
 from tg4mm.capture.look.record import to_record
 from tg4mm.capture.look.rows import row_note
 from tg4mm.capture.look.zoom import swing_note
-from tg4mm.capture.sfm.clip import WHOLE, Window, uneven_steps
+from tg4mm.capture.sfm.clip import WHOLE, TimeWindow, uneven_steps
 from tg4mm.core.digits import aligned, value_with_deviation
 from tg4mm.core.files import argument, write_json
 from tg4mm.core.regions import Region, Regions
@@ -40,7 +40,7 @@ class Words:
     found: Look
     source: Path
     fps: float | None = None  # as requested
-    window: Window = WHOLE
+    window: TimeWindow = WHOLE
     drawn: Regions | None = None
     drawn_file: Path | None = None
     keep_duplicates: bool = False

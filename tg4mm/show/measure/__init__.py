@@ -16,7 +16,7 @@ from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.sensors import MeasureError, Sensor, parse_sensor, read_sensors
 from tg4mm.show.measure.series import Series
-from tg4mm.show.measure.shapes import Shape
+from tg4mm.show.measure.shapes import OperatingShape
 from tg4mm.show.measure.spectrum import Peak, Spectrum
 from tg4mm.show.measure.tables import sep005
 from tg4mm.show.measure.video import prepare_video
@@ -25,12 +25,12 @@ __all__ = [
     "Clusters",
     "MeasureError",
     "Measurement",
+    "OperatingShape",
     "Peak",
     "Prepared",
     "Sensor",
     "SensorResult",
     "Series",
-    "Shape",
     "Spectrum",
     "default_sensors",
     "measure",

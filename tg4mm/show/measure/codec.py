@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from tg4mm.capture.codec import Loss, Tone, codec_losses
+from tg4mm.capture.codec import Loss, MeasuredTone, codec_losses
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.spectrum import Peak
@@ -24,7 +24,7 @@ def with_losses(scene: Prepared, results: Sequence[SensorResult]) -> list[Sensor
     regions = [_region(scene, result) for result in results]
     fps = scene.observations.fps
 
-    def tested(tones: list[list[Tone]]) -> list[tuple[Loss, ...]]:
+    def tested(tones: list[list[MeasuredTone]]) -> list[tuple[Loss, ...]]:
         found = codec_losses(video.path, regions, tones, fps, video.from_s, video.repeats)
         return [tuple(own) for own in found]
 
@@ -39,7 +39,7 @@ def _decays(peak: Peak) -> bool:
     return peak.line is not None and peak.line.decay_per_s > 0
 
 
-def _tones(result: SensorResult, of_decaying: float = 1.0) -> list[Tone]:
+def _tones(result: SensorResult, of_decaying: float = 1.0) -> list[MeasuredTone]:
     """Return the tones of all peaks, pixels right and down; decaying ones are multiplied by `of_decaying`."""
     right, up = (result.labels.index(name) for name in ("right", "up"))
     flat = len(result.labels) == 2  # whose axes may be those of a tilted plane
@@ -47,7 +47,7 @@ def _tones(result: SensorResult, of_decaying: float = 1.0) -> list[Tone]:
     for p in result.spectrum.peaks:
         scale = result.px_per_unit * (of_decaying if _decays(p) else 1.0)
         moved = (p.phasor @ result.axes)[[0, 2]] if flat else p.phasor[[right, up]]
-        out.append(Tone(p.frequency_hz, moved * [1, -1] * scale))
+        out.append(MeasuredTone(p.frequency_hz, moved * [1, -1] * scale))
     return out
 
 

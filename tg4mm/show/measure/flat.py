@@ -28,7 +28,7 @@ from tg4mm.show.measure.locate import (
     px_per_unit,
     weights_of,
 )
-from tg4mm.show.measure.rigid import Body, Equations
+from tg4mm.show.measure.rigid import Equations, RigidBody
 from tg4mm.show.measure.scene import GreyPictures, Prepared
 from tg4mm.show.measure.sensors import OF_PICTURE, MeasureError, Sensor
 from tg4mm.show.measure.series import Series, series_of
@@ -49,7 +49,7 @@ class FlatSensor:
     """A sensor as a region of the picture."""
 
     mask: np.ndarray  # [H, W] float32, 0 … 1
-    body: Body
+    body: RigidBody
     labels: tuple[str, ...]
     motion: RegionMotion
     series: Series
@@ -186,7 +186,7 @@ def _measured(
     return FlatSensor(mask, body, labels, motion, replace(series, model_share=share, deviation=deviation))
 
 
-def _body(scene: Prepared, frames: PosedFrames, mask: np.ndarray, motion: RegionMotion) -> Body:
+def _body(scene: Prepared, frames: PosedFrames, mask: np.ndarray, motion: RegionMotion) -> RigidBody:
     """Return the region as a rigid body on the plane of the picture."""
     viewmat, K = frames.viewmat.astype(np.float64), frames.K.astype(np.float64)
     weights = np.zeros(len(scene.means), np.float32)
@@ -199,10 +199,10 @@ def _body(scene: Prepared, frames: PosedFrames, mask: np.ndarray, motion: Region
     ray = np.linalg.solve(K, [*motion.centre_px, 1.0]) * depth
     centre = viewmat[:3, :3].T @ (ray - viewmat[:3, 3])
     axes = plane_axes(scene.scale, frames, centre)
-    return Body(weights, centre, motion.radius_px * depth / float(K[0, 0]), axes)
+    return RigidBody(weights, centre, motion.radius_px * depth / float(K[0, 0]), axes)
 
 
-def _pixels_along(frames: PosedFrames, body: Body, size: tuple[int, int]) -> np.ndarray:
+def _pixels_along(frames: PosedFrames, body: RigidBody, size: tuple[int, int]) -> np.ndarray:
     """Return pixels right and down of a unit along each axis, [2, 2], in rows."""
     rows = pixel_rows(body.centre[None], frames.viewmat, frames.K, size)[0][0]
     return np.asarray(body.axes @ rows.T)

@@ -11,7 +11,7 @@ from tg4mm.core.regions import inside as inside_of
 from tg4mm.fit.motion.jacobian.view import blend_sum
 from tg4mm.fit.motion.observations import PosedFrames, frames_of
 from tg4mm.run import Run
-from tg4mm.show.measure.rigid import Body
+from tg4mm.show.measure.rigid import RigidBody
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensors import OF_PICTURE, STILL, MeasureError, Sensor
 
@@ -51,7 +51,7 @@ def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarra
     return weights
 
 
-def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, ...]]:
+def body_of(weights: np.ndarray, scene: Prepared) -> tuple[RigidBody, tuple[str, ...]]:
     """Return the rigid body of a region, and its axes' names: x, y, z, or right, up, sight for one fixed camera.
 
     `sight` is the line of sight to the region's centre, away from the camera: motion along it is hardly visible.
@@ -62,10 +62,10 @@ def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, ...]
     radius = float(np.sqrt((seen @ away**2) / seen.sum()))
     radius = max(radius, float(scene.gaussians.scales.numpy()[weights > 0].mean()))
     if scene.is_moving or len(scene.views) > 1:
-        return Body(weights, centre, radius, np.eye(3)), ("x", "y", "z")
+        return RigidBody(weights, centre, radius, np.eye(3)), ("x", "y", "z")
     frames = scene.views[0].frames
     viewmat = frames.viewmat.astype(np.float64)
-    return Body(weights, centre, radius, sight_axes(viewmat, centre)), OF_ONE_CAMERA
+    return RigidBody(weights, centre, radius, sight_axes(viewmat, centre)), OF_ONE_CAMERA
 
 
 def plane_axes(scale: Scale | None, frames: PosedFrames, centre: np.ndarray) -> np.ndarray:

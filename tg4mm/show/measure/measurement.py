@@ -7,7 +7,7 @@ from itertools import count
 
 import numpy as np
 
-from tg4mm.capture.look import Found
+from tg4mm.capture.look import LookSummary
 from tg4mm.core.magnification import check_band
 from tg4mm.core.progress import progress
 from tg4mm.core.regions import Scale
@@ -31,12 +31,12 @@ from tg4mm.show.measure.locate import (
 )
 from tg4mm.show.measure.prepared import prepare
 from tg4mm.show.measure.residuals import MeasuredView
-from tg4mm.show.measure.rigid import Body, equations_of
+from tg4mm.show.measure.rigid import RigidBody, equations_of
 from tg4mm.show.measure.scene import Prepared, SharedClock, clock_phases
 from tg4mm.show.measure.sensor_result import SensorResult, relation_of
 from tg4mm.show.measure.sensors import MeasureError, Sensor, checked_names
 from tg4mm.show.measure.series import Series, series_of, shared_error, with_model_error
-from tg4mm.show.measure.shapes import Shape, shapes_of
+from tg4mm.show.measure.shapes import OperatingShape, shapes_of
 from tg4mm.show.measure.spectrum import USUAL_PERIOD
 from tg4mm.show.measure.video import looked_at
 
@@ -50,11 +50,13 @@ class Measurement:
     prepared: Prepared  # what was measured
     sensors: tuple[SensorResult, ...]  # in the order requested
     clusters: Clusters  # groups of Gaussians that move alike
-    shapes: tuple[Shape, ...]  # operating deflection shapes, one for each frequency of the sensors' peaks
+    shapes: tuple[
+        OperatingShape, ...
+    ]  # operating deflection shapes, one for each frequency of the sensors' peaks
     reference: str  # name of the sensor that phases refer to
     notes: tuple[str, ...] = ()  # limits of this capture, and sensors without a significant peak
     clip_phases: ClipPhases | None = None  # if cameras have independent clocks
-    look: Found | None = None  # result of the look at one fixed camera's regions
+    look: LookSummary | None = None  # result of the look at one fixed camera's regions
     marked_scale_m: float | None = None  # metres per scene unit by the marks in the picture
 
     @property
@@ -226,7 +228,7 @@ def _of_clips(
 
 
 def _result(
-    scene: Prepared, sensor: Sensor, body: Body, series: Sequence[Series], clips: Together | None
+    scene: Prepared, sensor: Sensor, body: RigidBody, series: Sequence[Series], clips: Together | None
 ) -> SensorResult:
     frames = scene.observations.frames
     scales = [px_per_unit(f, body.centre) for f in frames]
@@ -236,7 +238,7 @@ def _result(
     return SensorResult(sensor, body, tuple(series), scales[best], frames[best].name, clips, period, between)
 
 
-def region_sensors(scene: Prepared, found: Found) -> list[Sensor]:
+def region_sensors(scene: Prepared, found: LookSummary) -> list[Sensor]:
     """Return a disc as large as each vibration's region, at the region's centre."""
     camera = scene.observations.frames[0].name
     out: list[Sensor] = []
@@ -250,7 +252,7 @@ def region_sensors(scene: Prepared, found: Found) -> list[Sensor]:
 
 
 @dataclass(frozen=True)
-class Unit:
+class MeasurementUnit:
     """A unit of length: its names, and its number per scene unit."""
 
     name: str  # in text: mm, units, px
@@ -259,11 +261,11 @@ class Unit:
     uff: tuple[int, float, str]  # code of dataset 164 (1: metres), metres per stored unit, text of the units
 
 
-def unit_of(measurement: Measurement, result: SensorResult | None = None) -> Unit:
+def unit_of(measurement: Measurement, result: SensorResult | None = None) -> MeasurementUnit:
     """Return the unit of a measurement; for a flat capture that at one sensor."""
     if (scale := measurement.unit_scale_m) is not None:
-        return Unit("mm", "mm", 1000 * scale, (1, scale, "metres"))
+        return MeasurementUnit("mm", "mm", 1000 * scale, (1, scale, "metres"))
     if not measurement.prepared.capture.kind.sees_depth:
         some = result or measurement.sensors[0]
-        return Unit("px", "px", some.px_per_unit, (9, 1.0, "pixels"))
-    return Unit("units", "scene_units", 1.0, (9, 1.0, "scene units"))
+        return MeasurementUnit("px", "px", some.px_per_unit, (9, 1.0, "pixels"))
+    return MeasurementUnit("units", "scene_units", 1.0, (9, 1.0, "scene units"))

@@ -12,7 +12,7 @@ from tg4mm.core.pages.charts import COLOURS
 from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.core.progress import progress
 from tg4mm.show.maps import evenly
-from tg4mm.show.measure.measurement import Measurement, Unit, unit_of
+from tg4mm.show.measure.measurement import Measurement, MeasurementUnit, unit_of
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.sensors import STILL, file_name
 from tg4mm.show.measure.spectrum import is_resolved
@@ -53,7 +53,7 @@ def write_plots(measurement: Measurement, out: Path, endings: Sequence[str] = PL
             save(plt, figure, [folder / f"composite.{e}" for e in sorted(endings, reverse=True)])
 
 
-def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
+def _figure(plt: Any, result: SensorResult, unit: MeasurementUnit) -> Any:
     figure = plt.figure(figsize=(10, 6), layout="constrained")
     grid = figure.add_gridspec(2, 3)
     figure.suptitle(f"{result.name}: {result.extent}", x=0.01, ha="left", weight="bold")
@@ -63,7 +63,7 @@ def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
     return figure
 
 
-def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
+def waveform(axes: Any, result: SensorResult, unit: MeasurementUnit) -> None:
     """Draw displacement over time with a band of one standard deviation; of the first clip if there are several."""
     series = result.series
     marker = "." if len(series.times_s) <= _MARKED else ""
@@ -87,7 +87,7 @@ def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
         second.set_ylabel(f"px in {result.best_view}")
 
 
-def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
+def spectrum(axes: Any, result: SensorResult, unit: MeasurementUnit) -> None:
     """Draw amplitude over frequency with the noise floor dashed and the peaks' frequencies."""
     found = result.spectrum
     resolved = np.flatnonzero(is_resolved(found.typical_floor)).tolist()
@@ -112,7 +112,7 @@ def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
     axes.set_title("dashed: noise floor; peaks below it are not significant", fontsize=8, loc="left")
 
 
-def _orbit(axes: Any, result: SensorResult, unit: Unit) -> None:
+def _orbit(axes: Any, result: SensorResult, unit: MeasurementUnit) -> None:
     series = result.series
     resolved, size = np.flatnonzero(series.is_resolved).tolist(), np.abs(series.displacement).max(0)
     if len(resolved) < 2:

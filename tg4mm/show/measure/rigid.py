@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Body:
+class RigidBody:
     """A region as a rigid body."""
 
     weights: np.ndarray  # [N] float32, 0 … 1
@@ -74,7 +74,7 @@ class Equations:
 
 
 def equations_of(
-    bodies: Sequence[Body],
+    bodies: Sequence[RigidBody],
     scene: "Prepared",
     clock: "SharedClock",
     views: Sequence[MeasuredView],
@@ -116,7 +116,7 @@ def equations_of(
     return [Equations(normals[b], noise[b], known[b], false[b]) for b in range(len(bodies))]
 
 
-def companions(body: Body, fields: np.ndarray) -> np.ndarray:
+def companions(body: RigidBody, fields: np.ndarray) -> np.ndarray:
     """Return w' [N] float32: the body's weights, and elsewhere how closely a Gaussian moves with the body, 0 … 1.
 
     By the run's modal fields [R, N, 6]: ⟨m_n, m⟩ / ⟨m, m⟩ with m the body's mean displacement. Without motion in the

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import Capture
-from tg4mm.capture.look import Found
+from tg4mm.capture.look import LookSummary
 from tg4mm.capture.pictures import Strips
 from tg4mm.capture.scene import VideoFile
 from tg4mm.core.choices import Clock
@@ -93,7 +93,7 @@ class Prepared:
     scale: Scale | None = None  # marked in the picture
     video: VideoFile | None = None  # of the one camera
     between: np.ndarray | None = None  # [T] bool: its B-frames
-    found: Found | None = None  # result of the look at the one camera's pictures
+    found: LookSummary | None = None  # result of the look at the one camera's pictures
 
     @property
     def gaussians(self) -> Gaussians:

@@ -11,12 +11,12 @@ from tg4mm.capture.codec import Loss
 from tg4mm.capture.tracking.region import RegionMotion
 from tg4mm.core.even_clock import is_filled, on_even_clock
 from tg4mm.core.lines import Line, fit_lines
-from tg4mm.core.lines.band import Tone, tone_in
+from tg4mm.core.lines.band import BandLine, tone_in
 from tg4mm.show.measure.clips import Together
 from tg4mm.show.measure.damping import Damping, damping_of, with_loss
 from tg4mm.show.measure.derivatives import Derivatives, derivatives_of, deviations_of
 from tg4mm.show.measure.orbit import Orbit, orbit_in, orbit_of
-from tg4mm.show.measure.rigid import Body
+from tg4mm.show.measure.rigid import RigidBody
 from tg4mm.show.measure.sensors import Sensor
 from tg4mm.show.measure.series import Series
 from tg4mm.show.measure.spectrum import Peak, Spectrum, spectrum_of, strength_of, with_band, with_sidebands
@@ -50,7 +50,7 @@ class Relation:
 
 
 @dataclass(frozen=True)
-class Record:
+class SensorRecord:
     """A sensor's series on one clock, and its peaks' phasors along the series' axes and on that clock."""
 
     series: Series
@@ -78,7 +78,7 @@ class SensorResult:
     """
 
     sensor: Sensor  # as requested
-    body: Body  # the Gaussians of the region and their weights
+    body: RigidBody  # the Gaussians of the region and their weights
     all_series: tuple[Series, ...]  # one for each clock
     px_per_unit: float  # pixels per scene unit at the region, in the view that sees it largest
     best_view: str  # name of that view
@@ -172,10 +172,10 @@ class SensorResult:
         return replace(found, peaks=with_sidebands(found.peaks, self.codec_period, fps, duration))
 
     @cached_property
-    def records(self) -> tuple[Record, ...]:
+    def records(self) -> tuple[SensorRecord, ...]:
         """The series and peaks on every clock."""
         own = (self.spectrum.peaks,) if self.together is None else self.together.of_clips
-        return tuple(Record(series, peaks) for series, peaks in zip(self.all_series, own, strict=True))
+        return tuple(SensorRecord(series, peaks) for series, peaks in zip(self.all_series, own, strict=True))
 
     @property
     def velocity(self) -> np.ndarray:
@@ -229,7 +229,7 @@ def _at(result: SensorResult, reference: SensorResult) -> list[tuple[Orbit, bool
     if not resolved.any():  # such as the complete scene before a moving camera
         return []
     values, known = series.displacement[:, resolved], np.sqrt((series.noise[:, resolved] ** 2).mean(0))
-    found: list[Line | Tone] = [*fit_lines(values, series.times_s, lines).lines] if lines else []
+    found: list[Line | BandLine] = [*fit_lines(values, series.times_s, lines).lines] if lines else []
     for p in peaks[len(lines) :]:  # a requested band comes last: at the reference's frequency
         found.append(tone_in(values, series.times_s, (0.999 * p.frequency_hz, 1.001 * p.frequency_hz), known))
     for one in found:

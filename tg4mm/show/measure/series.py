@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal.windows import blackmanharris
 
-from tg4mm.show.measure.rigid import Body, Equations
+from tg4mm.show.measure.rigid import Equations, RigidBody
 from tg4mm.show.measure.scene import Prepared
 
 _QUARTILE = float(-np.log(0.75))  # of a spectrum of noise, in units of its mean power
@@ -193,7 +193,7 @@ def _floor_factor(answer: np.ndarray, variance: np.ndarray) -> np.ndarray:
     return np.asarray(np.quantile(power, 0.25, axis=0) / _QUARTILE / (window**2).sum())
 
 
-def with_model_error(series: Series, body: Body, scene: Prepared) -> Series:
+def with_model_error(series: Series, body: RigidBody, scene: Prepared) -> Series:
     """Add the error of the model to `model_share` and `deviation`: σ_f² = noise² + (share · |u_f|)²."""
     size = np.linalg.norm(np.where(series.is_resolved, series.displacement, 0), axis=1)
     rms = float(np.sqrt((size**2).mean()))
@@ -207,7 +207,7 @@ def with_model_error(series: Series, body: Body, scene: Prepared) -> Series:
     return replace(series, model_share=share, deviation=deviation)
 
 
-def shared_error(scene: Prepared, body: Body) -> float:
+def shared_error(scene: Prepared, body: RigidBody) -> float:
     """Return the run's uncertainty of the region's Gaussians along one axis, scene units rms; 0 if it has none."""
     found = scene.fit.uncertainty
     if not found:

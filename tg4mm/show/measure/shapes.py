@@ -31,7 +31,7 @@ _GREY = 0.75  # of the way to grey
 
 
 @dataclass(frozen=True)
-class Shape:
+class OperatingShape:
     """At one frequency: phasors of the run's modes there, displacement = Re[phasor exp(i 2π f t)], t in seconds."""
 
     frequency_hz: float
@@ -39,7 +39,7 @@ class Shape:
     is_above: np.ndarray  # [N] bool: exceeds twice the run's deviation
 
 
-def shapes_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[Shape, ...]:
+def shapes_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[OperatingShape, ...]:
     """Return the shapes at the peaks of all sensors, strongest first, where the run's modes move at all."""
     motion = scene.fit.motion
     if motion is None or not len(motion.freqs_hz):
@@ -61,7 +61,7 @@ def shapes_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[Shape, 
         least = (
             0.0 if deviation is None else _SIGNIFICANT * deviation * np.sqrt(2)
         )  # of amplitudes, not of rms
-        out.append(Shape(f, phasors, size > least))
+        out.append(OperatingShape(f, phasors, size > least))
     return tuple(out)
 
 
@@ -77,7 +77,9 @@ def _phasors(scene: Prepared, frequency_hz: float, resolution: float) -> np.ndar
     return np.tensordot(turn.mean(1).astype(np.complex64), motion.displacement[near], 1)
 
 
-def write_animations(scene: Prepared, shapes: tuple[Shape, ...], out: Path) -> list[tuple[Path, float]]:
+def write_animations(
+    scene: Prepared, shapes: tuple[OperatingShape, ...], out: Path
+) -> list[tuple[Path, float]]:
     """Write OUT/shapes/<frequency>Hz.gif of every shape; returns the files and the magnifications (1 + α)."""
     folder, written = out / "shapes", []
     shown = [s for s in shapes if s.is_above.any()]
@@ -98,7 +100,7 @@ def write_animations(scene: Prepared, shapes: tuple[Shape, ...], out: Path) -> l
     return written
 
 
-def _period(scene: Prepared, shape: Shape, gain: float) -> Iterator[Gaussians]:
+def _period(scene: Prepared, shape: OperatingShape, gain: float) -> Iterator[Gaussians]:
     """Return the Gaussians at each frame."""
     phasors = np.where(shape.is_above[:, None], shape.phasors, 0).astype(np.complex64)[None]
     motion = ModalMotion(np.array([1.0]), phasors, np.zeros_like(phasors), float(FRAMES), FRAMES)
@@ -113,7 +115,7 @@ def _greyed(gaussians: Gaussians, rows: np.ndarray) -> Gaussians:
     return replace(gaussians, sh=sh)
 
 
-def _best(scene: Prepared, shape: Shape) -> tuple[Camera, float]:
+def _best(scene: Prepared, shape: OperatingShape) -> tuple[Camera, float]:
     """Return the camera in which the shape moves by most pixels, and how many (99th percentile of the visible)."""
     rows = np.flatnonzero(shape.is_above & (scene.seen > 0.5))
     rows = rows if len(rows) else np.flatnonzero(shape.is_above)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tg4mm.core.lines import Line, Lines, find_lines
-from tg4mm.core.lines.band import Tone, tone_in
+from tg4mm.core.lines.band import BandLine, tone_in
 
 CHANCE = 0.01  # that noise alone exceeds the floor anywhere
 OVERSAMPLED = 8  # frequencies to each 1 / duration
@@ -139,7 +139,7 @@ class Peak:
     line: Line | None = None  # along the observed axes; None for clips: steady
     harmonic: Harmonic | None = None  # a stronger peak of which this may be a harmonic
     sideband: Sideband | None = None  # a stronger peak from which a video codec may have made this
-    asked: Tone | None = (
+    asked: BandLine | None = (
         None  # the tone in a requested band, which is not significant; None: a peak that was found
     )
     correlation: np.ndarray | None = None  # [A, A] of the axes' deviations; None: they are independent
@@ -238,7 +238,9 @@ def _levels(found: Lines, grid: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(grid, found.hz, level) for level in found.noise.T], 1)
 
 
-def _peak(line: Line | Tone, level: np.ndarray, is_seen: np.ndarray, model_share: np.ndarray | None) -> Peak:
+def _peak(
+    line: Line | BandLine, level: np.ndarray, is_seen: np.ndarray, model_share: np.ndarray | None
+) -> Peak:
     """Return a peak along all axes: 0 with infinite deviation along axes that are not observed."""
     phasor, deviation = np.zeros(len(is_seen), complex), np.full(len(is_seen), np.inf)
     phasor[is_seen], deviation[is_seen] = line.phasor, line.amplitude_deviation

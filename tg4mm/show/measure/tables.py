@@ -15,8 +15,8 @@ import numpy as np
 
 from tg4mm.core import __version__
 from tg4mm.core.files import write_atomic
-from tg4mm.show.measure.measurement import Measurement, Unit, unit_of
-from tg4mm.show.measure.sensor_result import Record, SensorResult
+from tg4mm.show.measure.measurement import Measurement, MeasurementUnit, unit_of
+from tg4mm.show.measure.sensor_result import SensorRecord, SensorResult
 
 MOST_ROWS = 1_048_575  # of a sheet, below its head
 _EVEN = 0.02  # of a step
@@ -29,7 +29,7 @@ _TEXTS = {"sensor", "clock", "axis", "name", "unit"}  # columns: a sensor may be
 
 
 @dataclass(frozen=True)
-class Table:
+class ValueTable:
     """Values are texts, or numbers of at most six digits."""
 
     name: str
@@ -37,7 +37,7 @@ class Table:
     rows: Iterable[Sequence[Any]]
 
 
-def tables_of(found: Measurement) -> list[Table]:
+def tables_of(found: Measurement) -> list[ValueTable]:
     """Return the tables series, spectra and peaks."""
     u = unit_of(found).column
     v, a = f"{u}_per_s", f"{u}_per_s2"
@@ -53,16 +53,16 @@ def tables_of(found: Measurement) -> list[Table]:
     ]  # fmt: skip
     arrays = arrays_of(found)
     return [
-        Table("series", series, _series_rows(arrays)),
-        Table("spectra", spectra, _spectrum_rows(arrays)),
-        Table("peaks", peaks, _peak_rows(found, arrays)),
+        ValueTable("series", series, _series_rows(arrays)),
+        ValueTable("spectra", spectra, _spectrum_rows(arrays)),
+        ValueTable("peaks", peaks, _peak_rows(found, arrays)),
     ]
 
 
 def write_csv_files(found: Measurement, out: Path) -> None:
     """Write OUT/series.csv, spectra.csv and peaks.csv."""
 
-    def write(path: Path, table: Table) -> None:
+    def write(path: Path, table: ValueTable) -> None:
         with path.open("w", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerows(chain([table.head], table.rows))
 
@@ -77,7 +77,7 @@ def write_xlsx(found: Measurement, path: Path) -> None:
     book = Workbook(write_only=True)
     names = {"spectra": "spectrum", "peaks": "lines"}
     settings = [(name, *value) for name, value in settings_of(found).items()]
-    for table in [*tables_of(found), Table("settings", ("name", "value", "unit"), settings)]:
+    for table in [*tables_of(found), ValueTable("settings", ("name", "value", "unit"), settings)]:
         rows, part, name = iter(table.rows), 1, names.get(table.name, table.name)
         while (block := list(islice(rows, MOST_ROWS))) or part == 1:
             sheet = book.create_sheet(name if part == 1 else f"{name} {part}")
@@ -164,7 +164,7 @@ def settings_of(found: Measurement) -> dict[str, tuple[Any, str]]:
     }
 
 
-def units_of(unit: Unit) -> dict[str, str]:
+def units_of(unit: MeasurementUnit) -> dict[str, str]:
     """Return the unit of every array that has one, by its name; its deviation has the same unit."""
     return {
         "time": "s", **{name: unit.name + per for name, (per, _) in _QUANTITIES.items()}, "amplitude": unit.name,
@@ -214,7 +214,7 @@ def _sensor(result: SensorResult, factor: float) -> dict[str, Any]:
     }
 
 
-def _series(record: Record, factor: float) -> dict[str, Any]:
+def _series(record: SensorRecord, factor: float) -> dict[str, Any]:
     own, values, sure = record.series, record.derivatives, record.derivative_deviations
     motion = (
         (own.displacement, own.deviation),

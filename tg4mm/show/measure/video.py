@@ -10,7 +10,7 @@ import torch
 from tg4mm.capture import Capture
 from tg4mm.capture.codec.trial import codec_period
 from tg4mm.capture.duplicates import DuplicateMeter
-from tg4mm.capture.look import Found, Picture, look_at_pictures
+from tg4mm.capture.look import GreyPicture, LookSummary, look_at_pictures
 from tg4mm.capture.look.compression import with_losses
 from tg4mm.capture.look.reading import BETWEEN, INTRA
 from tg4mm.capture.look.recording import taken, video_pictures
@@ -142,16 +142,16 @@ def _prepared(
     )  # fmt: skip
 
 
-def looked_at(scene: Prepared) -> Found:
+def looked_at(scene: Prepared) -> LookSummary:
     """Return what vibrates in the video's pictures, as `tg4mm look` finds it."""
     (frames,), video, pictures = scene.observations.frames, scene.video, scene.observations.pictures
     assert video is not None
     assert isinstance(pictures, GreyPictures)
 
-    def shown() -> Iterator[Picture]:
+    def shown() -> Iterator[GreyPicture]:
         with progress("regions", len(frames.rows), "pictures", brief=True) as update:
             for k, time in enumerate(frames.times_s):
-                yield Picture(pictures.data[k], float(time), int(pictures.kinds[k]))
+                yield GreyPicture(pictures.data[k], float(time), int(pictures.kinds[k]))
                 update(k + 1)
 
     found = look_at_pictures(shown(), str(video.path))

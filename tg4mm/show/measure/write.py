@@ -15,7 +15,7 @@ from tg4mm.show.measure.clips import ClipPhases
 from tg4mm.show.measure.measurement import Measurement, unit_of
 from tg4mm.show.measure.orbit import main_is_above
 from tg4mm.show.measure.plots import PLOTS, parts_picture, write_plots
-from tg4mm.show.measure.sensor_result import Record, SensorResult
+from tg4mm.show.measure.sensor_result import SensorRecord, SensorResult
 from tg4mm.show.measure.sensors import MeasureError
 from tg4mm.show.measure.shapes import write_animations
 from tg4mm.show.measure.table import format_table
@@ -156,7 +156,7 @@ def _sensor(result: SensorResult) -> dict[str, Any]:
     }
 
 
-def _series(record: Record) -> dict[str, Any]:
+def _series(record: SensorRecord) -> dict[str, Any]:
     series = record.series
     return {
         "clock": series.clock,

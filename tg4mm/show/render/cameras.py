@@ -18,7 +18,7 @@ from tg4mm.capture.frames import image_path
 from tg4mm.capture.model import Capture
 from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.pictures.decode import image_header
-from tg4mm.core.untrusted import Record, read_record
+from tg4mm.core.untrusted import JsonRecord, read_record
 from tg4mm.core.values import shown
 from tg4mm.fit.motion.observations import PosedFrames
 
@@ -228,18 +228,18 @@ def size_of_first_picture(path: Path) -> tuple[int, int] | None:
     return header.width, header.height
 
 
-def _camera_of_frame(file: Record, i: int, values: Any, size: tuple[int, int] | None) -> Camera:
+def _camera_of_frame(file: JsonRecord, i: int, values: Any, size: tuple[int, int] | None) -> Camera:
     where = f"{file.where}: frames[{i}]"
     if not isinstance(values, dict):
         raise CaptureError(f"{where}: is {shown(values)}; expected a JSON object")
-    frame = Record(where, values)
+    frame = JsonRecord(where, values)
     width, height = (_pixels(frame, file, key, size and size[k]) for k, key in enumerate("wh"))
     K = read_intrinsics(frame, file, width, height)
     name = Path(frame.text("file_path")).stem if frame.has("file_path") else f"r_{i:03d}"
     return Camera(name, world_to_camera(read_pose(frame)), K, width, height)
 
 
-def _pixels(frame: Record, file: Record, key: str, default: int | None) -> int:
+def _pixels(frame: JsonRecord, file: JsonRecord, key: str, default: int | None) -> int:
     record = frame if frame.has(key) else file
     if default is not None and not record.has(key):
         return default

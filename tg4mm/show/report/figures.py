@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 
 from tg4mm.core.choices import Clock
 from tg4mm.core.colour import STILL, amount_colours, phase_colours, phase_share
-from tg4mm.core.pages.page import Block, Figure, Panel, Text, film, missing, picture
+from tg4mm.core.pages.page import Block, Figure, FigurePanel, Text, film, missing, picture
 from tg4mm.core.pages.svg import number
 from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.show.render.video import loops_to_last, write_mp4
@@ -22,7 +22,7 @@ MARK = (217, 72, 15)
 
 
 @dataclass(frozen=True)
-class Line:
+class SliceLine:
     """The pixels of a row or column in a space-time slice."""
 
     axis: Axis
@@ -50,7 +50,7 @@ def contact_sheet(images: list[np.ndarray], columns: int, gap: int = 4, edge: in
     return np.asarray(sheet)
 
 
-def line_that_moves(video: np.ndarray, axis: Axis | None = None, margin: float = 0.12) -> Line:
+def line_that_moves(video: np.ndarray, axis: Axis | None = None, margin: float = 0.12) -> SliceLine:
     """Return the line of a video [T, H, W, 3] in 0..1 with most change, cut to the changing part plus a margin.
 
     axis: "row" or "column"; None: the one that changes most.
@@ -61,10 +61,10 @@ def line_that_moves(video: np.ndarray, axis: Axis | None = None, margin: float =
     length = len(change)
     moving = np.flatnonzero(change > 0.02 * change.max()) if change.max() > 0 else np.arange(length)
     pad = max(4, round(margin * length))
-    return Line(axis, index, max(0, int(moving[0]) - pad), min(length, int(moving[-1]) + 1 + pad))
+    return SliceLine(axis, index, max(0, int(moving[0]) - pad), min(length, int(moving[-1]) + 1 + pad))
 
 
-def slice_picture(video: np.ndarray, line: Line, periods: int = 1) -> np.ndarray:
+def slice_picture(video: np.ndarray, line: SliceLine, periods: int = 1) -> np.ndarray:
     """Return the slice of a uint8 video, `periods` times over; time runs right for a column, down for a row."""
     picture = space_time_slice(video, line.axis, line.index)
     if line.axis == "row":
@@ -72,7 +72,7 @@ def slice_picture(video: np.ndarray, line: Line, periods: int = 1) -> np.ndarray
     return np.tile(picture[line.start : line.stop], (1, periods, 1))
 
 
-def marked(image: np.ndarray, line: Line, edge: int = 512) -> np.ndarray:
+def marked(image: np.ndarray, line: SliceLine, edge: int = 512) -> np.ndarray:
     """Enlarge a uint8 picture to about `edge` pixels and draw the line on it."""
     height, width = image.shape[:2]
     scale = max(1, round(edge / max(height, width)))
@@ -110,7 +110,7 @@ def videos(m: Material) -> list[Block]:
     named = [("Input, as captured", m.view.input), (f"Ours, {magnified}", m.view.ours)]
     if m.view.truth is not None:
         named.append((f"Ground truth, {magnified}", m.view.truth))
-    panels: list[Panel] = [
+    panels: list[FigurePanel] = [
         film(clip(video, rate), video[still], label, f"video: {label}")
         for label, video in named
         if video is not None

@@ -16,7 +16,7 @@ from tg4mm.core.phasors import main_direction, scale_top
 from tg4mm.core.pictures.decode import read_png
 from tg4mm.show.maps import evenly, leading_modes, motion_maps, uncertainty_map
 from tg4mm.show.report.figures import (
-    Line,
+    SliceLine,
     contact_sheet,
     line_that_moves,
     map_picture,
@@ -163,7 +163,7 @@ def _named(m: Material) -> list[tuple[str, np.ndarray]]:
     return [(label, video) for label, video in found if video is not None]
 
 
-def _caption(m: Material, line: Line, seconds: float) -> Markup:
+def _caption(m: Material, line: SliceLine, seconds: float) -> Markup:
     time = "Time runs to the right" if line.axis == "column" else "Time runs down"
     words = Markup(
         "Space-time slices: the pixels of {} {} (marked; {} to {}) over {} s. {}. "

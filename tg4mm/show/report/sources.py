@@ -24,7 +24,7 @@ from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render
 from tg4mm.show.render.sequence import RenderRequest, pose_of
 from tg4mm.show.result.advice import suggested_alpha
-from tg4mm.show.result.reading import Reading
+from tg4mm.show.result.reading import ResultSources
 
 METRICS = "metrics.json"
 Evaluate = Callable[[Run], dict[str, Any]]  # scores against the ground truth, as metrics.json holds them
@@ -41,7 +41,7 @@ class Model:
     uncertainty: np.ndarray | None = None  # [N] standard deviation of the displacement, rms, scene units
 
 
-def load_model(reading: Reading, train: Capture, magnified: Magnification) -> Model:
+def load_model(reading: ResultSources, train: Capture, magnified: Magnification) -> Model:
     """Return the run's Gaussians and motion with blending weights. Raises RunError."""
     gaussians, motion = reading.gaussians, reading.motion
     if motion is not None and not len(motion.freqs_hz):
@@ -51,7 +51,9 @@ def load_model(reading: Reading, train: Capture, magnified: Magnification) -> Mo
     return Model(gaussians, motion, weights, main, reading.uncertainty.get("displacement"))
 
 
-def choose_alpha(reading: Reading, noise_px: float | None, magnified: Magnification) -> tuple[float, str]:
+def choose_alpha(
+    reading: ResultSources, noise_px: float | None, magnified: Magnification
+) -> tuple[float, str]:
     """Choose an α that shows the motion in the bands well; return it with a reason, or (0, "") without motion.
 
     With ground truth, the largest α of it up to that one. noise_px: the noise's amplitude in the pictures; None:
@@ -102,7 +104,7 @@ Pose = Callable[[float], Gaussians]
 
 
 @dataclass(frozen=True)
-class View:
+class CameraVideos:
     """One camera's videos, uint8 [T, H, W, 3]; None for what the dataset lacks.
 
     For a moving camera each picture has its own pose.
@@ -151,7 +153,7 @@ class Shown:
 
 def gather_view(
     run: Run, train: Capture, model: Model, magnified: Magnification, shown: Shown | None = None
-) -> View:
+) -> CameraVideos:
     """Render the camera that sees most motion, and read its pictures and ground truth.
 
     shown: a video of the same magnification whose camera and pictures are used instead of rendering.
@@ -165,7 +167,7 @@ def gather_view(
     camera = Camera.of(shots[best], size)
     if n_timesteps == 1:
         ours, recorded = _rendered(pose, [(0.0, camera)], "report"), _pictures(split, shots[best].rows[:1])
-        return View(camera, split.split, magnified, ours, recorded, None, n_frames=1)
+        return CameraVideos(camera, split.split, magnified, ours, recorded, None, n_frames=1)
     own = list(shots) if clock == Clock.moving else [shots[best]] * len(shots[best].rows)
     rows = [f.rows[0] for f in own] if clock == Clock.moving else shots[best].rows.tolist()
     kept = _kept(len(rows), train)
@@ -180,7 +182,7 @@ def gather_view(
         fixed = _rendered(still, posed, "one pose, α = 0"), _rendered(pose, posed, f"one pose, α = {alpha:g}")
     recorded = _pictures(split, np.array(rows[:kept]))
     truth, why = _truth(run.dataset, split, rows[:kept], alpha)
-    return View(camera, split.split, magnified, ours, recorded, truth, why, clock, len(rows), fixed)
+    return CameraVideos(camera, split.split, magnified, ours, recorded, truth, why, clock, len(rows), fixed)
 
 
 def _shots(dataset: Path, train: Capture) -> tuple[Capture, Clock, Sequence[PosedFrames]]:

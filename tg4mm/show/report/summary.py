@@ -15,7 +15,7 @@ from tg4mm.core.pages.svg import number
 from tg4mm.core.phasors import main_direction
 from tg4mm.run import Run
 from tg4mm.show.measure import Measurement
-from tg4mm.show.report.sources import Model, View
+from tg4mm.show.report.sources import CameraVideos, Model
 from tg4mm.show.result.model import Length, Result, Vibration, amount, percent, with_deviation
 
 
@@ -26,7 +26,7 @@ class Material:
     run: Run
     train: Capture
     model: Model
-    view: View
+    view: CameraVideos
     result: Result
     metrics: dict[str, Any]  # of evaluate_run, {} if there is no ground truth
     measurement: Measurement | None  # of sensors; None if there is nothing to measure

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tg4mm.capture import Capture
-from tg4mm.capture.look import Found, LookLine, MovingRegion
+from tg4mm.capture.look import LookLine, LookSummary, MovingRegion
 from tg4mm.capture.look.rows import row_note
 from tg4mm.capture.look.zoom import swing_note
 from tg4mm.capture.scene import is_coded, video_file
@@ -17,14 +17,14 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import CLEAR_PERIODS, fixed_cameras
 from tg4mm.show.result.advice import suggested_bands
 from tg4mm.show.result.model import WHY_NO_DAMPING, Length, Vibration
-from tg4mm.show.result.reading import Reading
+from tg4mm.show.result.reading import ResultSources
 
 _MOST = 4  # independently moving regions that are listed
 _WHY_NO_DAMPING = WHY_NO_DAMPING | {"untold": "it is too faint to show whether it rings down"}
 
 
 def looked_vibrations(
-    found: Found,
+    found: LookSummary,
     capture: Capture,
     fps: float,
     duration_s: float,
@@ -51,7 +51,7 @@ def looked_vibrations(
     return tuple(out)
 
 
-def depths_of(reading: Reading, found: Found, capture: Capture) -> list[float]:
+def depths_of(reading: ResultSources, found: LookSummary, capture: Capture) -> list[float]:
     """Return the median depth of the visible scene in each vibration's region, or of all of it in empty regions."""
     (frames, *_), means = fixed_cameras(capture), reading.gaussians.means.numpy()
     x = means.astype(float) @ frames.viewmat[:3, :3].T + frames.viewmat[:3, 3]
@@ -83,7 +83,7 @@ def _vibration(line: LookLine, place: np.ndarray, unit: float, band: tuple[float
     )
 
 
-def looked_notes(found: Found, is_flat: bool = True) -> list[str]:
+def looked_notes(found: LookSummary, is_flat: bool = True) -> list[str]:
     """Return notes on independent motion, passing objects, flicker, and lines in doubt."""
     movers = found.movers if is_flat else ()  # other fits exclude nothing
     out = [_moves(mover) for mover in movers[:_MOST]]
@@ -123,7 +123,9 @@ def _at(line: LookLine) -> str:
     return f"({line.centre_px[0]:.0f}, {line.centre_px[1]:.0f})"
 
 
-def cannot_tell(reading: Reading, motion: ModalMotion, vibrations: tuple[Vibration, ...]) -> tuple[str, ...]:
+def cannot_tell(
+    reading: ResultSources, motion: ModalMotion, vibrations: tuple[Vibration, ...]
+) -> tuple[str, ...]:
     """Return a line for each quantity that the run cannot determine."""
     duration = reading.duration_s
     out = [*reading.log.get("notes", ())]

@@ -308,7 +308,7 @@ def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> 
 
 
 @dataclass(frozen=True)
-class Peak:
+class ModePeak:
     """A peak of the modes, and its line."""
 
     mode_hz: float
@@ -322,12 +322,12 @@ class Peak:
         return max(1 / duration_s, 0.0 if self.line is None else abs(self.line.decay_per_s) / np.pi)
 
 
-def is_drift(found: Peak, duration_s: float) -> bool:
+def is_drift(found: ModePeak, duration_s: float) -> bool:
     """Whether the record holds too little of a frequency to tell it from a slow drift."""
     return found.mode_hz * duration_s < CLEAR_PERIODS or found.hz < _SURE * found.deviation_hz
 
 
-def drift_line(drifts: list[Peak], duration_s: float) -> list[str]:
+def drift_line(drifts: list[ModePeak], duration_s: float) -> list[str]:
     """A line on the strongest peak that is taken for a drift."""
     return [
         f"whether something vibrates at {with_deviation(Length(v.hz, v.deviation_hz))} Hz or drifts: the record holds "

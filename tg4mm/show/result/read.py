@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tg4mm.capture.look import Found
+from tg4mm.capture.look import LookSummary
 from tg4mm.core.choices import Kind
-from tg4mm.core.lines.band import FEWEST, Tone, tone_in
+from tg4mm.core.lines.band import FEWEST, BandLine, tone_in
 from tg4mm.fit.motion.config import asked_band
 from tg4mm.fit.motion.mode_selection import peaks
 from tg4mm.fit.motion.modes import ModalMotion
@@ -18,7 +18,7 @@ from tg4mm.show.result.looked import cannot_tell, depths_of, looked_vibrations
 from tg4mm.show.result.model import (
     Band,
     Length,
-    Peak,
+    ModePeak,
     Result,
     Vibration,
     drift_line,
@@ -28,10 +28,10 @@ from tg4mm.show.result.model import (
     series_of,
     why_no_damping,
 )
-from tg4mm.show.result.reading import Reading, reading_of
+from tg4mm.show.result.reading import ResultSources, reading_of
 
 
-def _requested(reading: Reading, band: Band) -> Vibration | None:
+def _requested(reading: ResultSources, band: Band) -> Vibration | None:
     """Return the motion of the run's modes in a band, with a large ± that shows the doubt; None without a mode.
 
     The shape is that of the strongest mode in the band. Its size and frequency are those of the motion's tone along
@@ -70,7 +70,7 @@ def _requested(reading: Reading, band: Band) -> Vibration | None:
     )
 
 
-def _tone(reading: Reading, motion: ModalMotion, k: int, band: Band) -> tuple[Tone | None, float]:
+def _tone(reading: ResultSources, motion: ModalMotion, k: int, band: Band) -> tuple[BandLine | None, float]:
     """Return the tone of the motion along mode k in units of the mode, and its amplitude's relative deviation."""
     if "asked_share" in reading.log:
         return None, float(reading.log["asked_share"])
@@ -94,7 +94,7 @@ def result_of(run: Run, band: Band | None = None) -> Result:
     return result_from(reading_of(run), band)
 
 
-def result_from(reading: Reading, band: Band | None = None) -> Result:
+def result_from(reading: ResultSources, band: Band | None = None) -> Result:
     """Return the result from a run's files, as `result_of`."""
     motion = reading.motion
     if motion is None:
@@ -132,7 +132,7 @@ def result_from(reading: Reading, band: Band | None = None) -> Result:
 
 
 def _with_requested(
-    reading: Reading, motion: ModalMotion, found: tuple[Vibration, ...], band: Band | None
+    reading: ResultSources, motion: ModalMotion, found: tuple[Vibration, ...], band: Band | None
 ) -> tuple[Vibration, ...]:
     """Put the motion in the requested band, or in the band of training, first unless it was found already."""
     band = band or asked_band(str(reading.run.settings.get("motion", {}).get("band", "")), motion.fps)
@@ -143,7 +143,7 @@ def _with_requested(
 
 
 def _named(
-    reading: Reading, motion: ModalMotion, found: list[Peak]
+    reading: ResultSources, motion: ModalMotion, found: list[ModePeak]
 ) -> tuple[tuple[Vibration, ...], tuple[Vibration, ...]]:
     """Return the model's vibrations, and others; of a flat capture only those of its regions, if there are any.
 
@@ -165,7 +165,7 @@ def _named(
     return inside, tuple(v for v, is_held in zip(every, held, strict=True) if not is_held)
 
 
-def _by_regions(reading: Reading) -> bool:
+def _by_regions(reading: ResultSources) -> bool:
     """Return whether the vibrations are those of a flat capture's regions."""
     is_flat = reading.capture is not None and not reading.capture.kind.sees_depth
     return is_flat and reading.look is not None and bool(reading.look.vibrations)
@@ -194,7 +194,7 @@ def _is_local(model: Vibration, region: Vibration) -> bool:
     return model.pixels.value < region.pixels.value / 2
 
 
-def _still(reading: Reading) -> Result:
+def _still(reading: ResultSources) -> Result:
     capture = reading.capture
     return Result(
         run=reading.run.path,
@@ -209,7 +209,7 @@ def _still(reading: Reading) -> Result:
     )
 
 
-def peak_bands(reading: Reading) -> list[tuple[float, Band]]:
+def peak_bands(reading: ResultSources) -> list[tuple[float, Band]]:
     """Return frequency and band of every vibration, then of the other peaks, drifts included."""
     if reading.motion is None:
         return []
@@ -220,16 +220,16 @@ def peak_bands(reading: Reading) -> list[tuple[float, Band]]:
     return [(f, known.get(f, band)) for f, band in zip(hz, bands, strict=True)]
 
 
-def _found(reading: Reading, motion: ModalMotion) -> list[Peak]:
+def _found(reading: ResultSources, motion: ModalMotion) -> list[ModePeak]:
     """Return every peak, drifts included, the strongest first; none within a stronger one's line."""
     known = [] if reading.look is None else list({line.hz for line in reading.look.vibrations})
     noise = reading.uncertainty.get("noise")
     hz = [float(f) for f in peaks(motion, PERIODS / reading.duration_s, noise, known)]
     stated = {length.value: length.deviation or 0.0 for length in _stated(reading)}
-    out: list[Peak] = []
+    out: list[ModePeak] = []
     for f in hz:
         if stated:  # separate clocks, or a moving camera: the fit has only these frequencies
-            out.append(Peak(f, f, stated[min(stated, key=lambda g: abs(g - f))], None, is_steady=True))
+            out.append(ModePeak(f, f, stated[min(stated, key=lambda g: abs(g - f))], None, is_steady=True))
             continue
         peak = _line(reading, motion, f, [g for g in hz if g != f])
         if all(abs(peak.hz - v.hz) >= v.reach(reading.duration_s) for v in out):
@@ -237,22 +237,22 @@ def _found(reading: Reading, motion: ModalMotion) -> list[Peak]:
     return out
 
 
-def _line(reading: Reading, motion: ModalMotion, hz: float, others: list[float]) -> Peak:
+def _line(reading: ResultSources, motion: ModalMotion, hz: float, others: list[float]) -> ModePeak:
     series = series_of(motion, motion.displacement[_index(motion, hz)], reading.seen.weights)
     noise = float(reading.log.get("noise_to_motion") or 0.0)
     line = line_near(series, motion.fps, hz, others, noise, reading.between)
     if line is None:  # a bin, uniformly distributed
-        return Peak(hz, hz, 1 / (reading.duration_s * np.sqrt(12)), None)
-    return Peak(hz, line.hz, at_least_seen(line.hz, line.hz_deviation, look_of(reading.run)), line)
+        return ModePeak(hz, hz, 1 / (reading.duration_s * np.sqrt(12)), None)
+    return ModePeak(hz, line.hz, at_least_seen(line.hz, line.hz_deviation, look_of(reading.run)), line)
 
 
-def at_least_seen(hz: float, deviation: float, look: Found | None) -> float:
+def at_least_seen(hz: float, deviation: float, look: LookSummary | None) -> float:
     """Return a frequency's deviation (Hz), at least that of the same line in a region, which includes the codec."""
     lines = [] if look is None else look.lines
     return max([deviation, *(n.hz_deviation for n in lines if abs(n.hz - hz) < 2 * n.hz_deviation)])
 
 
-def _vibrations(reading: Reading, motion: ModalMotion, found: list[Peak]) -> tuple[Vibration, ...]:
+def _vibrations(reading: ResultSources, motion: ModalMotion, found: list[ModePeak]) -> tuple[Vibration, ...]:
     bands = suggested_bands(
         [v.hz for v in found], [v.deviation_hz for v in found], reading.duration_s, motion.fps,
         [v.reach(reading.duration_s) for v in found],
@@ -283,12 +283,12 @@ def _vibrations(reading: Reading, motion: ModalMotion, found: list[Peak]) -> tup
     return tuple(out)
 
 
-def _shapeless(reading: Reading, motion: ModalMotion) -> tuple[Length, ...]:
+def _shapeless(reading: ResultSources, motion: ModalMotion) -> tuple[Length, ...]:
     """Return the frequencies of motion that the fit dropped because its two halves disagreed."""
     return () if len(motion.freqs_hz) else _stated(reading)
 
 
-def _stated(reading: Reading) -> tuple[Length, ...]:
+def _stated(reading: ResultSources) -> tuple[Length, ...]:
     keys = ("frequencies_hz", "frequency_deviation_hz")
     return tuple(
         Length(float(f), float(d)) for f, d in zip(*(reading.log.get(k, ()) for k in keys), strict=False)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tg4mm.capture import Capture, load_capture
-from tg4mm.capture.look import Found
+from tg4mm.capture.look import LookSummary
 from tg4mm.capture.scene import between_frames
 from tg4mm.core.errors import RunError
 from tg4mm.core.phasors import peak_displacement, scale_top
@@ -53,7 +53,7 @@ class Reach:
 def reach_of(
     gaussians: Gaussians,
     motion: ModalMotion,
-    seen: "Seen",
+    seen: "Visibility",
     noise_px: float | None,
     gains: np.ndarray,
     is_decoded: bool = False,
@@ -102,7 +102,7 @@ _CAMERAS = 4  # spread evenly over those that show motion
 
 
 @dataclass(frozen=True)
-class Seen:
+class Visibility:
     """Blending weights, and for each camera the rows [N, 2, 3] that convert a displacement (scene units) to pixels."""
 
     weights: np.ndarray  # [N]
@@ -128,20 +128,20 @@ class Seen:
         return [self.weights * inside for inside in self.inside]
 
 
-def seen_by(gaussians: Gaussians, capture: Capture | None) -> Seen:
+def seen_by(gaussians: Gaussians, capture: Capture | None) -> Visibility:
     """Return the weights by up to four of the cameras that show motion; without a capture, the opacities."""
     if capture is None:
-        return Seen(gaussians.opacities.numpy().astype(np.float64), (), ())
+        return Visibility(gaussians.opacities.numpy().astype(np.float64), (), ())
     _, frames = frames_of(capture)
     some = [frames[i] for i in evenly(len(frames), _CAMERAS)]
     chosen = np.array([f.rows[0] for f in some])
     weights = blending_weights(gaussians, capture.selected(chosen))
     means = gaussians.means.numpy().astype(np.float64)
     projected = [pixel_rows(means, f.viewmat, f.K, (capture.width, capture.height)) for f in some]
-    return Seen(weights, tuple(p[0] for p in projected), tuple(p[1] for p in projected))
+    return Visibility(weights, tuple(p[0] for p in projected), tuple(p[1] for p in projected))
 
 
-def reading_of(run: Run) -> "Reading":
+def reading_of(run: Run) -> "ResultSources":
     """Read the files of a run. Raises RunError if it is not finished, or its dataset has other times now."""
     motion = run.load_motion()
     capture = load_capture(run.dataset) if run.dataset.is_dir() else None
@@ -152,11 +152,11 @@ def reading_of(run: Run) -> "Reading":
         check_times(run.path, run.dataset, of_run, of_dataset)
         check_readout(run.path, run.dataset, run.log().get("motion", {}), capture.rows_s)
     uncertainty = run.load_uncertainties() if motion is not None else {}
-    return Reading(run, run.load_space(), motion, run.log().get("motion", {}), capture, uncertainty)
+    return ResultSources(run, run.load_space(), motion, run.log().get("motion", {}), capture, uncertainty)
 
 
 @dataclass(frozen=True)
-class Reading:
+class ResultSources:
     """The files of a run from which a result is read."""
 
     run: Run
@@ -174,7 +174,7 @@ class Reading:
         return float(self.log.get("duration_s") or self.motion.n_timesteps / self.motion.fps)
 
     @cached_property
-    def seen(self) -> Seen:
+    def seen(self) -> Visibility:
         return seen_by(self.gaussians, self.capture)
 
     @cached_property
@@ -185,7 +185,7 @@ class Reading:
         return between_frames(self.capture.root, self.motion.n_timesteps)
 
     @cached_property
-    def look(self) -> Found | None:
+    def look(self) -> LookSummary | None:
         """The result of the look at the one fixed camera's regions."""
         return None if self.capture is None else look_of(self.run)
 

@@ -13,7 +13,7 @@ from tg4mm.show.view.local_server import add_side_panel, address, set_theme, sta
 from tg4mm.show.view.panel import CameraPanel, Panel
 from tg4mm.show.view.pixel_panel import PixelPanel
 from tg4mm.show.view.saving import SavePanel
-from tg4mm.show.view.screen import RATE, Canvas, Screen
+from tg4mm.show.view.screen import RATE, Screen, Viewport
 from tg4mm.show.view.session import Session
 
 _IDLE = 0.1  # seconds between checks of cameras without events
@@ -22,10 +22,10 @@ _KEYS = ((" ", "Play|Pause"), ("b", _BESIDE), ("0", "all"), ("c", "Clip (mp4)"),
          ("s", "Snapshot (PNG)"), ("j", "previous"), ("k", "next"))  # fmt: skip
 
 
-def canvas_of(client: viser.ClientHandle) -> Canvas:
+def canvas_of(client: viser.ClientHandle) -> Viewport:
     """Return the present camera of a page."""
     c = client.camera
-    return Canvas(
+    return Viewport(
         tuple(map(float, c.position)),
         tuple(map(float, c.wxyz)),
         float(c.fov),

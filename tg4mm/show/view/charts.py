@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from tg4mm.capture.look import Found
+from tg4mm.capture.look import LookSummary
 from tg4mm.core.colour import amount_colours, hex_colour
 from tg4mm.core.pages.svg import nice_ticks, number
 from tg4mm.show.view.colours import Band
@@ -129,7 +129,7 @@ def density_chart(
     return _svg(parts, f"spectrum of the waveform ({unit}) over frequency (Hz), its noise floor dashed", read)
 
 
-def composite_chart(found: Found) -> Markup:
+def composite_chart(found: LookSummary) -> Markup:
     """Draw a flat capture's power over noise, mean over all cells, in decibels, and the level of noise dashed."""
     power = np.maximum(found.composite[1:], 1.0)
     floor = np.full(len(power), found.composite_floor)

@@ -36,7 +36,7 @@ _KEYS = (("b", "box"), ("p", "polygon"), ("o", "point"), ("l", "length"), ("r", 
 
 
 @dataclass(frozen=True)
-class Shot:
+class FirstPicture:
     """The first picture of one fixed camera."""
 
     camera: str  # "" for a recording
@@ -44,7 +44,7 @@ class Shot:
     texture: Texture
 
 
-def shots_of(path: Path, fps: float | None = None) -> list[Shot]:
+def shots_of(path: Path, fps: float | None = None) -> list[FirstPicture]:
     """Return the pictures of a video, a folder of numbered pictures, or a dataset.
 
     Raises CaptureError for anything else.
@@ -67,11 +67,11 @@ def shots_of(path: Path, fps: float | None = None) -> list[Shot]:
     raise CaptureError(f"{path}: is neither a run, a dataset, a video nor a folder of pictures")
 
 
-def _shot(camera: str, pictures: list[np.ndarray]) -> Shot:
+def _shot(camera: str, pictures: list[np.ndarray]) -> FirstPicture:
     if not pictures or any(p.shape != pictures[0].shape for p in pictures):
         raise CaptureError(f"{camera or 'the recording'}: holds no pictures of one size")
     grey = np.stack([p.astype(np.float32) @ _LUMA for p in pictures])
-    return Shot(camera, pictures[0], texture_of(grey))
+    return FirstPicture(camera, pictures[0], texture_of(grey))
 
 
 def _rgb(pixels: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from tg4mm.show.measure.spectrum import strength_of
 from tg4mm.show.view.charts import ACCENT_RGB, block, density_chart, spectrum_chart, waveform_chart
 from tg4mm.show.view.colours import main_peaks, peak_labels
 from tg4mm.show.view.scene import RunScene
-from tg4mm.show.view.screen import Canvas, full_size
+from tg4mm.show.view.screen import Viewport, full_size
 from tg4mm.show.view.session import Session
 
 _ASK = "Click a pixel of the picture."
@@ -51,7 +51,7 @@ class PixelPanel:
             self._answer = server.gui.add_html(block(_ASK))
         self._from_pictures.on_update(lambda _: self._answer_last())
 
-    def clicked(self, canvas: Canvas, x: float, y: float) -> None:
+    def clicked(self, canvas: Viewport, x: float, y: float) -> None:
         """Answer a click at (x, y), shares 0 … 1 of the canvas from its upper left corner."""
         session = self._session
         if session.look.beside and canvas.holds_two:
@@ -101,7 +101,7 @@ class PixelPanel:
 
         return heard
 
-    def _mark(self, point: np.ndarray, canvas: Canvas) -> None:
+    def _mark(self, point: np.ndarray, canvas: Viewport) -> None:
         self._session.set_look(mark=tuple(map(float, point)))
         if self._session.look.beside:  # drawn in both pictures
             self._server.scene.remove_by_name("/pixel")

@@ -16,7 +16,7 @@ from tg4mm.core.pictures.decode import write_png
 from tg4mm.show.render.video import stream_mp4
 from tg4mm.show.view.charts import block
 from tg4mm.show.view.pixel_panel import Waveform
-from tg4mm.show.view.screen import Canvas, full_size, picture_of
+from tg4mm.show.view.screen import Viewport, full_size, picture_of
 from tg4mm.show.view.session import Session
 
 CLIP_RATE = 30.0  # pictures a second
@@ -24,7 +24,7 @@ LONGEST = 20.0  # seconds of a clip
 _LARGEST = 1280  # pixels, a clip's longer side
 
 
-def save_snapshot(session: Session, canvas: Canvas, now: float, folder: Path) -> Path:
+def save_snapshot(session: Session, canvas: Viewport, now: float, folder: Path) -> Path:
     """Write the picture of `canvas` at `now`, at full size, as a new PNG in `folder`."""
     size = full_size(canvas.width, canvas.height)
     picture = picture_of(session.painter, session.look, session.clock.at(now), canvas, size)
@@ -34,7 +34,7 @@ def save_snapshot(session: Session, canvas: Canvas, now: float, folder: Path) ->
 
 
 def save_clip(
-    session: Session, canvas: Canvas, folder: Path, update: Callable[[float], None] = lambda share: None
+    session: Session, canvas: Viewport, folder: Path, update: Callable[[float], None] = lambda share: None
 ) -> Path:
     """Write one pass through the capture on `canvas`, at its present speed, as a new mp4 in `folder`.
 
@@ -103,7 +103,7 @@ class SavePanel:
         server: viser.ViserServer,
         session: Session,
         folder: Path,
-        canvas_of: Callable[[viser.ClientHandle], Canvas],
+        canvas_of: Callable[[viser.ClientHandle], Viewport],
         answered: Callable[[], Waveform | None] = lambda: None,
     ) -> None:
         self._answered = answered
@@ -123,7 +123,7 @@ class SavePanel:
         numbers.on_click(lambda event: self._save(event.client, self._numbers))
         clip.on_click(lambda event: self._save(event.client, self._clip))
 
-    def _save(self, client: viser.ClientHandle | None, write: Callable[[Canvas], Path]) -> None:
+    def _save(self, client: viser.ClientHandle | None, write: Callable[[Viewport], Path]) -> None:
         if client is None or not self._busy.acquire(blocking=False):
             return
         try:
@@ -135,15 +135,15 @@ class SavePanel:
             self._bar.visible = False
             self._busy.release()
 
-    def _snapshot(self, canvas: Canvas) -> Path:
+    def _snapshot(self, canvas: Viewport) -> Path:
         return save_snapshot(self._session, canvas, time.monotonic(), self._folder)
 
-    def _numbers(self, _: Canvas) -> Path:
+    def _numbers(self, _: Viewport) -> Path:
         if (found := self._answered()) is None:
             raise Tg4mmError("click a pixel first")
         return save_numbers(found, self._session.scene.unit, self._session.scene.per_unit, self._folder)
 
-    def _clip(self, canvas: Canvas) -> Path:
+    def _clip(self, canvas: Viewport) -> Path:
         self._bar.value, self._bar.visible = 0.0, True
         return save_clip(self._session, canvas, self._folder, self._progress)
 

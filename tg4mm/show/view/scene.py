@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from tg4mm.capture import Capture, load_capture
-from tg4mm.capture.look import Found
+from tg4mm.capture.look import LookSummary
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.core.choices import Clock
 from tg4mm.core.errors import CaptureError
@@ -134,7 +134,7 @@ class RunScene:
     unit: str  # of displayed lengths
     per_unit: float  # displayed length per scene unit
     notes: tuple[str, ...] = ()  # lines on missing data
-    look: Found | None = None  # result of the look at a flat capture's regions
+    look: LookSummary | None = None  # result of the look at a flat capture's regions
     filmed: Filmed | None = None  # the capture's pictures
 
     @property

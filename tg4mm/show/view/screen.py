@@ -13,7 +13,7 @@ from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.view.charts import ACCENT_RGB
 from tg4mm.show.view.scene import camera_of
-from tg4mm.show.view.session import Look, Painter, Session
+from tg4mm.show.view.session import DisplaySettings, SceneRenderer, Session
 
 _MOVING, _STILL = 80, 95  # JPEG quality
 NARROW = 600  # pixels of a phone, whose lower half the panel covers
@@ -23,7 +23,7 @@ _RING, _STROKE = 0.012, 1.5  # of the picture's shorter side; pixels
 
 
 @dataclass(frozen=True)
-class Canvas:
+class Viewport:
     """The camera of a page and the size of its picture."""
 
     position: tuple[float, ...]  # [3] scene units
@@ -54,13 +54,13 @@ class Canvas:
         """Return whether there is room for two pictures, which a phone lacks."""
         return self.width >= NARROW
 
-    def halved(self) -> "Canvas":
+    def halved(self) -> "Viewport":
         """Return the canvas of one of two pictures side by side."""
         return replace(self, width=self.width // 2)
 
 
 def picture_of(
-    painter: Painter, look: Look, seconds: float, canvas: Canvas, size: tuple[int, int]
+    painter: SceneRenderer, look: DisplaySettings, seconds: float, canvas: Viewport, size: tuple[int, int]
 ) -> np.ndarray:
     """Return a page's picture [H, W, 3] uint8 of `size` (w, h).
 
@@ -117,7 +117,7 @@ class Screen:
         self._fine = False
         self.size = (0, 0)  # of the last picture, pixels
 
-    def refresh(self, canvas: Canvas, now: float) -> bool:
+    def refresh(self, canvas: Viewport, now: float) -> bool:
         """Draw and send the page's picture at `now` if it changed; returns whether it did."""
         session = self._session
         look, seconds = session.look, session.clock.at(now)

@@ -30,7 +30,7 @@ _SH_0 = 0.28209479177387814  # the constant spherical harmonic: coefficient to c
 
 
 @dataclass(frozen=True)
-class Look:
+class DisplaySettings:
     """The display settings apart from time and camera."""
 
     magnified: Magnification = AS_CAPTURED
@@ -39,7 +39,7 @@ class Look:
     mark: tuple[float, ...] | None = None  # [3] position of the clicked pixel, scene units
 
 
-class Painter:
+class SceneRenderer:
     """Draws a scene, one picture at a time; calls from several threads wait for each other.
 
     numba's kernels use all cores anyway, and some of its threading layers allow only one caller.
@@ -70,7 +70,7 @@ class Painter:
         with self._lock:
             yield let_paint
 
-    def paint(self, look: Look, seconds: float, camera: Camera) -> np.ndarray:
+    def paint(self, look: DisplaySettings, seconds: float, camera: Camera) -> np.ndarray:
         """Return the scene `seconds` into the capture over white, [height, width, 3] uint8."""
         with self._lock:
             return to_bytes(render_image(self._gaussians(look, seconds), *camera.view))
@@ -82,7 +82,9 @@ class Painter:
         except (CaptureError, OSError):
             return None
 
-    def pixel_weights(self, look: Look, seconds: float, camera: Camera, x: int, y: int) -> np.ndarray:
+    def pixel_weights(
+        self, look: DisplaySettings, seconds: float, camera: Camera, x: int, y: int
+    ) -> np.ndarray:
         """Return the blending weight α·T ([3DGS] Eq. (3)) of every Gaussian in pixel (x, y), [N] float64.
 
         They sum to the opacity. A weight is the pixel's gradient by the Gaussian's colour, from the rasteriser.
@@ -92,14 +94,14 @@ class Painter:
         with self._lock:
             return pixel_sums(self._gaussians(look, seconds), chosen, camera.viewmat, camera.K)[:, 0]
 
-    def _gaussians(self, look: Look, seconds: float) -> Gaussians:
+    def _gaussians(self, look: DisplaySettings, seconds: float) -> Gaussians:
         motion = self._scene.motion
         t = 0.0 if motion is None else seconds * motion.fps
         gaussians = self._pose(t, 0.0 if motion is None else look.magnified.ideal(motion.freqs_hz))
         sh = self._colours(look)
         return gaussians if sh is None else replace(gaussians, sh=sh)
 
-    def _colours(self, look: Look) -> Tensor | None:
+    def _colours(self, look: DisplaySettings) -> Tensor | None:
         """Return spherical harmonics [N, 1, 3] of a colouring; the last ones are cached."""
         if self._coloured[0] != (key := (look.colour, look.magnified.limits)):
             rgb = gaussian_colours(self._scene, look.colour, look.magnified)
@@ -114,20 +116,20 @@ class Session:
     `revision` counts changes of the look; every change sets `changed`, for which the drawing loop waits.
     """
 
-    def __init__(self, scene: RunScene, look: Look, clock: Clock) -> None:
+    def __init__(self, scene: RunScene, look: DisplaySettings, clock: PlaybackClock) -> None:
         self.scene = scene
-        self.painter = Painter(scene)
+        self.painter = SceneRenderer(scene)
         self.changed = threading.Event()
         self.revision = 0
         self._look, self._clock = look, clock
         self._lock = threading.Lock()
 
     @property
-    def look(self) -> Look:
+    def look(self) -> DisplaySettings:
         return self._look
 
     @property
-    def clock(self) -> Clock:
+    def clock(self) -> PlaybackClock:
         return self._clock
 
     def set_look(self, **changes: object) -> None:
@@ -151,7 +153,7 @@ class Session:
         limits = () if band is None else (band,)
         self.set_look(magnified=Magnification.of(self._look.magnified.alpha, *limits))
 
-    def set_clock(self, change: Callable[[Clock, float], Clock]) -> None:
+    def set_clock(self, change: Callable[[PlaybackClock, float], PlaybackClock]) -> None:
         """Replace the clock by `change(clock, now)`."""
         with self._lock:
             self._clock = change(self._clock, time.monotonic())
@@ -159,7 +161,7 @@ class Session:
 
 
 @dataclass(frozen=True)
-class Clock:
+class PlaybackClock:
     """The playing time of the capture; moments `now` are seconds of one monotonic clock.
 
     Every change returns a new clock that continues at the same time.
@@ -183,14 +185,14 @@ class Clock:
         """Return whether time advances: playing, and not at the end."""
         return self.playing and self.duration > 0 and (self.loop or self.at(now) < self.duration)
 
-    def changed(self, now: float, **changes: object) -> Clock:
+    def changed(self, now: float, **changes: object) -> PlaybackClock:
         """Return a clock with another `speed`, `playing` or `loop` from now on; playing at the end starts at 0."""
         offset = self.at(now)
         if changes.get("playing") and not self.running(now) and offset >= self.duration:
             offset = 0.0
         return replace(self, offset=offset, since=now, **changes)  # type: ignore[arg-type]
 
-    def sought(self, now: float, seconds: float) -> Clock:
+    def sought(self, now: float, seconds: float) -> PlaybackClock:
         """Return a clock moved to `seconds`, limited to the capture, which keeps playing if it did."""
         return replace(self, offset=min(max(seconds, 0.0), self.duration), since=now)
 

@@ -2,7 +2,7 @@
 
 A block is a zlib stream of two tables, one after the other (docs/web.md):
     [4, N] float32            x, y, z in scene units, opacity
-    [V, N] float16            what `Layout` lists
+    [V, N] float16            what `PackLayout` lists
 each with its bytes taken apart, all first bytes, then all second ones …: like bytes beside each other compress better.
 
 What is too large for a page is reduced first: what no camera saw, then fine colours, then what counts least.
@@ -27,7 +27,7 @@ _MARGIN = 0.98  # of the intended bytes, since compression differs between Gauss
 
 
 @dataclass(frozen=True)
-class Layout:
+class PackLayout:
     """The number of float16 values per Gaussian, in this order.
 
     3 logarithms of the scales; 4 of the quaternion, xyzw; 3 · `sh_count` of the spherical harmonics, 3 channels of one
@@ -55,7 +55,7 @@ class Packed:
     """A block, its layout, and the factors of its light."""
 
     block: bytes
-    layout: Layout
+    layout: PackLayout
     light_sizes: np.ndarray  # [R] largest coefficient of each change of light
 
 
@@ -80,7 +80,7 @@ def pack(gaussians: Gaussians, motion: "MotionFields", light: AppearanceModes | 
             f"the motion has {len(motion.fields)} independent fields; a page holds up to {MOST_FIELDS}"
         )
     changes, sizes = _light(light, n)
-    layout = Layout(n, sh.shape[1], len(motion.fields), len(sizes), changes.shape[2])
+    layout = PackLayout(n, sh.shape[1], len(motion.fields), len(sizes), changes.shape[2])
     wxyz = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     columns = [
         np.log(np.maximum(scales, 1e-12)),
@@ -94,7 +94,7 @@ def pack(gaussians: Gaussians, motion: "MotionFields", light: AppearanceModes | 
     return Packed(_compressed(_apart(exact) + _apart(values)), layout, sizes)
 
 
-def unpack(block: bytes, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+def unpack(block: bytes, layout: PackLayout) -> tuple[np.ndarray, np.ndarray]:
     """Return [N, 4] float32 and [N, V] float16 of a block, as the page's program reads them."""
     data = zlib.decompress(block)
     n, first = layout.n_gaussians, 16 * layout.n_gaussians

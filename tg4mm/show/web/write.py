@@ -35,7 +35,7 @@ _NUMBERS = 200_000  # bytes of style, cameras and temporal components
 
 
 @dataclass(frozen=True)
-class Page:
+class PageValues:
     """The values of the page's template."""
 
     scene: dict[str, Any]
@@ -61,7 +61,7 @@ def export_html(run: Run, out: Path, most_bytes: int | None = None, regions: Pat
     return out
 
 
-def make_page(run: Run, most_bytes: int | None = None, regions: Path | None = None) -> Page:
+def make_page(run: Run, most_bytes: int | None = None, regions: Path | None = None) -> PageValues:
     """The scene and its numbers, of the whole page's size at most. Raises what `export_html` does of the run."""
     shown = b"" if regions is None else regions.read_bytes()
     with progress("page", 4, unit="steps") as update:
@@ -79,7 +79,7 @@ def make_page(run: Run, most_bytes: int | None = None, regions: Path | None = No
         update(3)
         scene = scene_json(run, gaussians, motion, fields, packed)
         update(4)
-    return Page(scene, packed.block, shown)
+    return PageValues(scene, packed.block, shown)
 
 
 def _own_bytes() -> int:
@@ -93,7 +93,7 @@ def _fields(motion: ModalMotion | None, n: int) -> MotionFields:
     return motion_fields(motion)
 
 
-def render(page: Page) -> str:
+def render(page: PageValues) -> str:
     """Return the page as text. Its content security policy allows no connections and only its program."""
     style = (_HERE / "page.css").read_text(encoding="utf-8")
     program = (_PLAYER / "player.js").read_text(encoding="utf-8").replace("</script", "<\\/script")

@@ -160,7 +160,7 @@ def _apart(a: PosedFrames, b: PosedFrames, means: np.ndarray, opacities: np.ndar
 
 
 @dataclass(frozen=True)
-class Reading:
+class FieldReading:
     """The likelier reading of one frequency's fields."""
 
     moving_share: float  # of what is seen
@@ -238,7 +238,7 @@ class CameraPath:
         hz: float,
         others: np.ndarray,
         scale: float,
-    ) -> Reading:
+    ) -> FieldReading:
         """Judge the phasors [N, 3] of a field at a frequency, which `moves` [N]; path [F, 6] as `without` gives it.
 
         scale: field times it are phasors of displacement. others: further frequencies of the scene.
@@ -260,7 +260,7 @@ class CameraPath:
         moved = field - rigid[:, :3] * is_other
         where = self.seen * (~moves if is_other else moves)
         power, error = where @ (np.abs(moved) ** 2).sum(1), where @ squares
-        return Reading(
+        return FieldReading(
             1 - share if is_other else share, doubt, rigid if is_other else None, squares, 4 * error <= power
         )
 

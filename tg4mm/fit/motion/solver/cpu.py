@@ -8,7 +8,7 @@ import numpy as np
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Projection
-from tg4mm.fit.motion.prior import Graph
+from tg4mm.fit.motion.prior import NeighbourGraph
 from tg4mm.fit.motion.solver.preconditioner import TwoLevelPreconditioner
 from tg4mm.fit.rasterize.buffers import Buffers
 
@@ -20,7 +20,7 @@ class CpuOperator:
     """`Operator` on numpy arrays."""
 
     views: Sequence[ViewJacobian]
-    graph: Graph
+    graph: NeighbourGraph
     preconditioner: TwoLevelPreconditioner
     scale: float  # h
     smoothness_weight: float
@@ -97,7 +97,7 @@ class CpuOperator:
             total += float(np.vdot(residual.astype(np.float64), weighted))
         return total
 
-    def with_graph(self, graph: Graph) -> "CpuOperator":
+    def with_graph(self, graph: NeighbourGraph) -> "CpuOperator":
         """`Operator.with_graph`."""
         return replace(self, graph=graph)
 

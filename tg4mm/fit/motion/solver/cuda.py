@@ -24,7 +24,7 @@ from torch import Tensor
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, ViewJacobian
-from tg4mm.fit.motion.prior import ROWS, Graph
+from tg4mm.fit.motion.prior import ROWS, NeighbourGraph
 from tg4mm.fit.motion.solver.cpu import CpuOperator
 from tg4mm.fit.motion.solver.operator import Operator
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, CA, CB, CC, FEAT, MX, MY, OP, T_MIN, TILE
@@ -218,7 +218,11 @@ class DeviceViews:
     """Views' contributions and the graph's constants on a device, shared by all operators of one fit."""
 
     def __init__(
-        self, views: Sequence[ViewJacobian], graph: Graph, device: str, storage: torch.dtype | None = None
+        self,
+        views: Sequence[ViewJacobian],
+        graph: NeighbourGraph,
+        device: str,
+        storage: torch.dtype | None = None,
     ) -> None:
         """`storage` of weights and slopes: None for float16 on CUDA, float32 elsewhere.
 
@@ -324,7 +328,7 @@ class DeviceOperator:
                     total -= float((self.adjoint_columns[k] @ motion.flatten()).double().square().sum())
         return total
 
-    def with_graph(self, graph: Graph) -> "DeviceOperator":
+    def with_graph(self, graph: NeighbourGraph) -> "DeviceOperator":
         """`Operator.with_graph`."""
         other = copy.copy(self)
         try:
@@ -376,7 +380,7 @@ class DeviceOperator:
         return torch.from_numpy(np.ascontiguousarray(values)).to(self.device)
 
 
-def views_on(device: str, views: Sequence[ViewJacobian], graph: Graph) -> DeviceViews | None:
+def views_on(device: str, views: Sequence[ViewJacobian], graph: NeighbourGraph) -> DeviceViews | None:
     """The views on a torch device; None on the CPU, whose operator reads them where they lie."""
     return None if device == "cpu" else DeviceViews(views, graph, device)
 

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tg4mm.fit.motion.prior import Graph
+from tg4mm.fit.motion.prior import NeighbourGraph
 
 Array = Any  # np.ndarray or Tensor; an operator takes and gives one kind
 
@@ -75,5 +75,5 @@ class Operator(System, Protocol):
     def misfit(self, fields: np.ndarray, pictures: Iterable[np.ndarray]) -> float:
         """The weighted squares that fields [R, N, 6] leave of target images."""
 
-    def with_graph(self, graph: Graph) -> "Operator":
+    def with_graph(self, graph: NeighbourGraph) -> "Operator":
         """The problem with other edge weights, in the same unknowns."""

@@ -20,7 +20,7 @@ from scipy.sparse import bsr_matrix
 
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
-from tg4mm.fit.motion.prior import ROWS, Graph, times_blocks
+from tg4mm.fit.motion.prior import ROWS, NeighbourGraph, times_blocks
 from tg4mm.fit.rasterize.buffers import Buffers
 
 MOST = 256  # aggregates: the coarse operator is dense, with four times as many rows
@@ -38,7 +38,7 @@ _PATCH = 32.0
 class Aggregates:
     """The prolongation P of G aggregates: coarse fields [4G, 3] -> fields [4N, 3]."""
 
-    graph: Graph
+    graph: NeighbourGraph
     tentative: bsr_matrix  # [4N, 4G] float32: P before smoothing, one 4 × 4 block a Gaussian
     smoother: np.ndarray  # [N, 4, 4] float32, symmetric: damped inverse of the prior's diagonal blocks
 
@@ -91,7 +91,7 @@ class Aggregates:
         return self.tentative.T.tobsr()
 
 
-def aggregate(graph: Graph, means: np.ndarray) -> Aggregates:
+def aggregate(graph: NeighbourGraph, means: np.ndarray) -> Aggregates:
     """Aggregates of the Gaussians at means [N, 3]."""
     blocks = graph.own_blocks
     # neighbours that all lie on a line leave some gradients undetermined: the block is singular
@@ -103,7 +103,7 @@ def aggregate(graph: Graph, means: np.ndarray) -> Aggregates:
     return Aggregates(graph, tentative, np.ascontiguousarray(damped, np.float32))
 
 
-def _largest_eigenvalue(graph: Graph, blocks: np.ndarray) -> float:
+def _largest_eigenvalue(graph: NeighbourGraph, blocks: np.ndarray) -> float:
     """Estimate the largest eigenvalue of M K by power iteration on three random fields."""
     x = np.random.default_rng(0).normal(size=(ROWS * len(blocks), 3)).astype(np.float32)
     for _ in range(_POWER_STEPS):

@@ -10,7 +10,7 @@ from tg4mm.fit.gaussians import Gaussians, rotation_matrices
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Nuisance, Projection, projections_of, without
-from tg4mm.fit.motion.prior import Graph, build_graph
+from tg4mm.fit.motion.prior import NeighbourGraph, build_graph
 from tg4mm.fit.motion.solver.cpu import CpuOperator
 from tg4mm.fit.motion.solver.cuda import operator_on, views_on
 from tg4mm.fit.motion.solver.operator import Fold, Operator
@@ -30,7 +30,7 @@ class Problem:
 
     views: Sequence[ViewJacobian]
     gaussians: Gaussians
-    graph: Graph
+    graph: NeighbourGraph
     aggregates: Aggregates
     config: MotionConfig
     device: str = "cpu"

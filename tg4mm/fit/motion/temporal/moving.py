@@ -22,7 +22,13 @@ from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.jacobian.view import VIEW_BYTES, blend_sum, view_jacobian
-from tg4mm.fit.motion.nuisance.poses import CameraPath, Reading, left_of, pictures_of, refine_scene_and_poses
+from tg4mm.fit.motion.nuisance.poses import (
+    CameraPath,
+    FieldReading,
+    left_of,
+    pictures_of,
+    refine_scene_and_poses,
+)
 from tg4mm.fit.motion.nuisance.projection import POSE, Nuisance, Projection, with_still_background
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations
@@ -173,7 +179,7 @@ class MovingCamera(SinusoidalModel):
     def ground_squares(self) -> np.ndarray | None:
         return self.ambiguity
 
-    def _readings(self, fields: np.ndarray) -> list[Reading]:
+    def _readings(self, fields: np.ndarray) -> list[FieldReading]:
         """Read the camera path for every frequency's fields [2K, N, 6]."""
         if not len(fields):
             return []

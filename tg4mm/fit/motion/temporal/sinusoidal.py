@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy.optimize import least_squares
 
-from tg4mm.core.lines.band import FEWEST, Tone, tone_in
+from tg4mm.core.lines.band import FEWEST, BandLine, tone_in
 from tg4mm.core.lines.model import log_floor
 from tg4mm.core.progress import progress
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, concatenated
@@ -385,12 +385,14 @@ def frequencies_of(
     return Frequencies(hz, deviation), {"asked_hz": round(tone.hz, 6), "asked_share": round(share, 6)}
 
 
-def _tone_of(shifts: Sequence[np.ndarray], times: Sequence[np.ndarray], band: tuple[float, float]) -> Tone:
+def _tone_of(
+    shifts: Sequence[np.ndarray], times: Sequence[np.ndarray], band: tuple[float, float]
+) -> BandLine:
     """Return the tone of the clock that shows most, in the region shifts that move most.
 
     Raises Tg4mmError where none has enough.
     """
-    tones: list[Tone] = []
+    tones: list[BandLine] = []
     for y, t in zip(shifts, times, strict=True):
         if len(t) >= FEWEST or len(shifts) == 1:
             strongest = np.argsort(np.std(y - y.mean(0), axis=0))[::-1][:_STRONGEST]

@@ -11,10 +11,10 @@ import numpy as np
 from tg4mm.capture import Capture, load_capture
 from tg4mm.core.magnification import Magnification
 from tg4mm.research.bench.measure import measure
-from tg4mm.research.bench.request import Plan, Scoring, Training
+from tg4mm.research.bench.request import BenchPlan, Scoring, Training
 from tg4mm.research.bench.sets import BenchSet
 from tg4mm.research.evaluate.run import CEILING, OURS, STATIC
-from tg4mm.research.evaluate.scores import Candidate, Subject, render_views, subject_of
+from tg4mm.research.evaluate.scores import ScoredMotion, Subject, render_views, subject_of
 from tg4mm.run import Run
 from tg4mm.run.tensor_file import model_hash
 
@@ -35,7 +35,7 @@ class Method(Protocol):
         """The rows of the tables, several if a training is magnified in several ways."""
         ...
 
-    def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+    def fit(self, data: BenchSet, place: Path, plan: BenchPlan) -> dict[str, Any]:
         """Learn from the training pictures, or continue after a killed call.
 
         Returns figures like `tg4mm.research.bench.measure.measure`, {} for a method without training. Raises
@@ -43,12 +43,12 @@ class Method(Protocol):
         """
         ...
 
-    def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+    def recipe(self, row: str, data: BenchSet, place: Path, plan: BenchPlan) -> dict[str, Any]:
         """Return everything that determines a row's pictures beside dataset and α, in JSON's types."""
         ...
 
     def render(
-        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
+        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: BenchPlan
     ) -> Pictures:
         """Yield each picture of the test split `capture`, in any order, magnified by α in the plan's band.
 
@@ -77,11 +77,11 @@ class Trained:
         ways = tuple(row_title(self.training.name, way.name) for way in self.training.ways)
         return (STATIC, *ways, CEILING) if self.framing else ways
 
-    def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+    def fit(self, data: BenchSet, place: Path, plan: BenchPlan) -> dict[str, Any]:
         _subject_of.cache_clear()  # frees the memory of another run
         return measure(place, data, self.training, plan)
 
-    def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+    def recipe(self, row: str, data: BenchSet, place: Path, plan: BenchPlan) -> dict[str, Any]:
         way = self._way(row)
         return {
             "version": _VERSION,
@@ -93,7 +93,7 @@ class Trained:
         }
 
     def render(
-        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
+        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: BenchPlan
     ) -> Pictures:
         way = self._way(row)
         run, magnified = place / "run", (way or self.training.ways[0]).magnified(plan.bands(data))
@@ -113,7 +113,7 @@ def _subject_of(run: Path, model: str, root: Path, magnified: Magnification, dev
     return subject_of(Run.open(run), load_capture(root), magnified, {}, device)
 
 
-def _pictures(subject: Subject, method: Candidate, capture: Capture, alpha: float) -> Pictures:
+def _pictures(subject: Subject, method: ScoredMotion, capture: Capture, alpha: float) -> Pictures:
     for t in np.unique(capture.timesteps).tolist():
         gaussians = method.pose(subject.gaussians, t, alpha)
         rows = np.flatnonzero(capture.timesteps == t)

@@ -1,8 +1,8 @@
 """3DMM, the Eulerian method in [TG4MM] Table I, at a size that two threads of a CPU can train.
 
-A `Field` is fitted to timestep 0, then only differences of its planes for each later timestep, from zero. Planes plus
-differences over time are magnified by phase, as published; those fitted with total variation on the differences are
-magnified by `linear`. Departures from [3DMM]: planes of 16 × 64² (32 × 512²), no proposal networks,
+A `PlaneField` is fitted to timestep 0, then only differences of its planes for each later timestep, from zero. Planes
+plus differences over time are magnified by phase, as published; those fitted with total variation on the differences
+are magnified by `linear`. Departures from [3DMM]: planes of 16 × 64² (32 × 512²), no proposal networks,
 fewer and faster iterations (10,000 at 1e-4 for a timestep there), harmonics of degree 2.
 
 Files in RUN, beside config.json and log.json: field.safetensors (timestep 0), phase_0001 … and linear_0001 …
@@ -29,8 +29,8 @@ from tg4mm.fit.magnify.phase import PhaseMagnifier
 from tg4mm.fit.space import RestViews
 from tg4mm.research.bench.methods import Pictures, row_title
 from tg4mm.research.bench.methods.planes import (
-    Field,
     Place,
+    PlaneField,
     centres,
     march,
     place_of,
@@ -39,7 +39,7 @@ from tg4mm.research.bench.methods.planes import (
     total_variation,
 )
 from tg4mm.research.bench.methods.video import band_response
-from tg4mm.research.bench.request import Plan
+from tg4mm.research.bench.request import BenchPlan
 from tg4mm.research.bench.sets import BenchSet
 from tg4mm.research.evaluate.run import STATIC
 from tg4mm.research.evaluate.scores import camera_key
@@ -84,18 +84,18 @@ class Eulerian:
     def rows(self) -> tuple[str, ...]:
         return tuple(row_title(NAME, way) for way in (STATIC, *WAYS))
 
-    def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+    def fit(self, data: BenchSet, place: Path, plan: BenchPlan) -> dict[str, Any]:
         capture = load_capture(data.root)
         run = Run.create(place / "run", data.root, NAME, {NAME: asdict(self.config)})
         if not run.has_part(_part(capture.n_timesteps - 1, WAYS[-1])):
             _fit(run, capture, load_images(capture), self.config)
         return {}
 
-    def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+    def recipe(self, row: str, data: BenchSet, place: Path, plan: BenchPlan) -> dict[str, Any]:
         return {"row": row, "version": _VERSION, **asdict(self), "band_hz": plan.band(data)}
 
     def render(
-        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
+        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: BenchPlan
     ) -> Pictures:
         run = Run.open(place / "run")
         field = _load_field(run, self.config)
@@ -137,9 +137,11 @@ def _fit(run: Run, capture: Capture, images: ImageStack, config: EulerianConfig)
     if not run.has_part("field"):
         began = time.monotonic()
         place = place_of(first, config.margin)
-        field = Field(place, config.resolution, config.channels, torch.Generator().manual_seed(config.seed))
+        field = PlaneField(
+            place, config.resolution, config.channels, torch.Generator().manual_seed(config.seed)
+        )
         with progress(f"{NAME}: timestep 0", config.iterations) as update:
-            fit_at_rest(field, Seen(first, place, config.seed), config, update)
+            fit_at_rest(field, SeenPixels(first, place, config.seed), config, update)
         box, filled = torch.from_numpy(place.box), torch.from_numpy(place.filled).float()
         run.save_part("field", field.state_dict() | {"box": box, "filled": filled})
         run.record("space", _figures(began, config.iterations))
@@ -151,7 +153,7 @@ def _fit(run: Run, capture: Capture, images: ImageStack, config: EulerianConfig)
             if run.has_part(_part(t, WAYS[-1])):
                 continue
             began = time.monotonic()
-            seen = Seen(views_at(capture, images, t), field.place, config.seed + t)
+            seen = SeenPixels(views_at(capture, images, t), field.place, config.seed + t)
             for k, way in enumerate(WAYS):
                 own = differences(field, seen, way, config)
                 run.save_part(_part(t, way), {"planes": own})
@@ -164,16 +166,16 @@ def _figures(began: float, iterations: int) -> dict[str, float]:
     return {"seconds": seconds, "peak_memory_mib": peak_memory_mib(), "iterations": iterations}
 
 
-def _load_field(run: Run, config: EulerianConfig) -> Field:
+def _load_field(run: Run, config: EulerianConfig) -> PlaneField:
     """Load the field of timestep 0, without gradients."""
     tensors, _ = run.load_part("field")
     place = Place(tensors.pop("box").numpy(), tensors.pop("filled").numpy() > 0)
-    field = Field(place, config.resolution, config.channels, torch.Generator())
+    field = PlaneField(place, config.resolution, config.channels, torch.Generator())
     field.load_state_dict(tensors)
     return field.requires_grad_(False)
 
 
-class Seen:
+class SeenPixels:
     """Random pixels of one timestep with rays through filled cells."""
 
     def __init__(self, views: RestViews, place: Place, seed: int) -> None:
@@ -186,8 +188,8 @@ class Seen:
         self._origins, self._directions, self._ink, self._cover = map(torch.from_numpy, arrays)
         self._draw = torch.Generator().manual_seed(seed)
 
-    def loss(self, field: Field, planes: Tensor, count: int, place: Place | None = None) -> Tensor:
-        """Return the mean square error of `count` pixels over random backgrounds; place: of `Field.render`."""
+    def loss(self, field: PlaneField, planes: Tensor, count: int, place: Place | None = None) -> Tensor:
+        """Return the mean square error of `count` pixels over random backgrounds; place: of `PlaneField.render`."""
         some = torch.randint(len(self._ink), (count,), generator=self._draw)
         behind = torch.rand(count, 3, generator=self._draw)
         start = torch.rand(count, generator=self._draw)
@@ -195,7 +197,7 @@ class Seen:
         return (drawn - self._ink[some] - (1 - self._cover[some]) * behind).square().mean()
 
 
-def fit_at_rest(field: Field, seen: Seen, config: EulerianConfig, update: Update) -> None:
+def fit_at_rest(field: PlaneField, seen: SeenPixels, config: EulerianConfig, update: Update) -> None:
     """Fit the complete field. Empty cells have samples in one iteration of `_EMPTY_EVERY`, so that they stay empty."""
     c, place = config, field.place
 
@@ -209,7 +211,7 @@ def fit_at_rest(field: Field, seen: Seen, config: EulerianConfig, update: Update
     _descend((list(field.parameters()), field.planes), loss, how, update)
 
 
-def differences(field: Field, seen: Seen, way: str, config: EulerianConfig) -> Tensor:
+def differences(field: PlaneField, seen: SeenPixels, way: str, config: EulerianConfig) -> Tensor:
     """Fit the differences [3, R, R, C] of a timestep's planes from those at rest, smooth ones for `linear`."""
     own = torch.zeros_like(field.planes).requires_grad_()
     c, smoothness = config, config.motion_smoothness if way == "linear" else 0.0
@@ -244,7 +246,7 @@ def _descend(
 
 
 @torch.no_grad()
-def occupied(field: Field, planes: Tensor) -> Place:
+def occupied(field: PlaneField, planes: Tensor) -> Place:
     """Return the field's place without cells that are empty, with their neighbours, by these planes."""
     from scipy.ndimage import maximum_filter
 
@@ -257,7 +259,7 @@ def occupied(field: Field, planes: Tensor) -> Place:
 
 
 @torch.no_grad()
-def _drawn(field: Field, video: np.ndarray | None, capture: Capture) -> Pictures:
+def _drawn(field: PlaneField, video: np.ndarray | None, capture: Capture) -> Pictures:
     """Yield a capture's pictures by planes over time [T, 3, R, R, C]; None: at rest, each camera drawn once."""
     size = capture.width, capture.height
     planes: Tensor = field.planes
@@ -274,7 +276,9 @@ def _drawn(field: Field, video: np.ndarray | None, capture: Capture) -> Pictures
             yield i, known[camera]
 
 
-def _picture(field: Field, planes: Tensor, place: Place, rays: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def _picture(
+    field: PlaneField, planes: Tensor, place: Place, rays: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
     parts = []
     for first in range(0, len(rays[0]), _RAYS_AT_ONCE):
         origins, directions = (torch.from_numpy(r[first : first + _RAYS_AT_ONCE]) for r in rays)

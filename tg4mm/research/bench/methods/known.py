@@ -31,7 +31,7 @@ from tg4mm.research.bench.methods.deformed import (
     tune_each,
 )
 from tg4mm.research.bench.methods.video import Linear2D, Phase2D
-from tg4mm.research.bench.request import SCORINGS, Plan, Training, settings_by_preset
+from tg4mm.research.bench.request import SCORINGS, BenchPlan, Training, settings_by_preset
 from tg4mm.research.bench.scored import cameras_of, picture_name, video_of
 from tg4mm.research.bench.sets import BenchSet, check_name, truth_at
 from tg4mm.research.bench.truth_files import follow
@@ -108,7 +108,7 @@ class External:
     def rows(self) -> tuple[str, ...]:
         return (self.name,)
 
-    def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+    def fit(self, data: BenchSet, place: Path, plan: BenchPlan) -> dict[str, Any]:
         folder = self.folder / data.label
         if not folder.is_dir():
             raise BenchError(
@@ -140,13 +140,13 @@ class External:
                 asked = f"{truth.width}×{truth.height}"
                 raise BenchError(f"{path}: is {head.width}×{head.height} pixels, expected {asked}")
 
-    def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+    def recipe(self, row: str, data: BenchSet, place: Path, plan: BenchPlan) -> dict[str, Any]:
         folder = self.folder / data.label
         files = sorted(p for p in folder.rglob("*.png") if "test" in p.parts)
         return {"folder": str(folder.resolve()), "files": files_state(files, folder)}
 
     def render(
-        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
+        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: BenchPlan
     ) -> Pictures:
         folder = self.folder / data.label
         self.check(data, int(alpha))

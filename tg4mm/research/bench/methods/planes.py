@@ -192,7 +192,7 @@ def harmonics(directions: Tensor) -> Tensor:
     )
 
 
-class Field(nn.Module):
+class PlaneField(nn.Module):
     """The planes and the two MLPs in a `Place`."""
 
     def __init__(self, place: Place, resolution: int, channels: int, generator: torch.Generator) -> None:

@@ -13,7 +13,7 @@ from tg4mm.core.magnification import Magnification, apply_response, bins
 from tg4mm.fit.magnify.phase import SMALLEST, PhaseMagnifier, half_octave_bands
 from tg4mm.research.bench.folder import files_state
 from tg4mm.research.bench.methods import Pictures
-from tg4mm.research.bench.request import Plan
+from tg4mm.research.bench.request import BenchPlan
 from tg4mm.research.bench.scored import cameras_of, video_of
 from tg4mm.research.bench.sets import BenchSet, truth_at
 
@@ -32,16 +32,16 @@ class VideoMethod:
     def rows(self) -> tuple[str, ...]:
         return (self.name,)
 
-    def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+    def fit(self, data: BenchSet, place: Path, plan: BenchPlan) -> dict[str, Any]:
         return {}
 
-    def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+    def recipe(self, row: str, data: BenchSet, place: Path, plan: BenchPlan) -> dict[str, Any]:
         own: dict[str, Any] = asdict(self)  # type: ignore[call-overload]
         seen = files_state(truth_at(data, 0).paths, data.root)
         return {"method": self.name, "version": _VERSION, **own, "band_hz": plan.band(data), "seen": seen}
 
     def render(
-        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
+        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: BenchPlan
     ) -> Pictures:
         seen = truth_at(data, 0)
         response = band_response(data, alpha, plan)
@@ -56,7 +56,7 @@ class VideoMethod:
         raise NotImplementedError
 
 
-def band_response(data: BenchSet, alpha: float, plan: Plan) -> np.ndarray:
+def band_response(data: BenchSet, alpha: float, plan: BenchPlan) -> np.ndarray:
     """[T // 2 + 1] complex: α times the zero-phase filter's response to the band, or α where there is none."""
     return Magnification.of(alpha, *plan.bands(data)).response(bins(data.n_timesteps, data.fps), data.fps)
 

@@ -6,7 +6,7 @@ from typing import Any
 from tg4mm.research.bench.methods.known import METHODS
 from tg4mm.research.bench.pages.tables import groups_of, kinds_tables, tables_of
 from tg4mm.research.evaluate.run import STATIC
-from tg4mm.research.text import Table, table
+from tg4mm.research.text import TextTable, table
 
 
 def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, Mapping[str, str]]) -> str:
@@ -30,7 +30,7 @@ def _listed(lines: Sequence[str]) -> str:
     return "\n".join(f"- {line}" for line in lines)
 
 
-def markdown(made: Table) -> str:
+def markdown(made: TextTable) -> str:
     return table(made.header, made.rows, made.text_columns)
 
 

@@ -18,7 +18,7 @@ from tg4mm.research.bench.jobs import picture_folder
 from tg4mm.research.bench.scored import most_changing, video_of
 from tg4mm.research.bench.sets import BenchSet, alpha_to_show, open_set, truth_at
 from tg4mm.show.report.figures import (
-    Line,
+    SliceLine,
     clip,
     line_that_moves,
     map_picture,
@@ -35,7 +35,7 @@ _REPEATS = 24  # pictures that a slice shows at least
 
 
 @dataclass(frozen=True)
-class View:
+class ShownView:
     """One test view of a set at one α, by every row."""
 
     label: str  # of the set
@@ -62,7 +62,7 @@ def shown_sections(out: Path, results: Mapping[str, Any], group: str) -> Iterato
                 yield Section(f"{data['label']} at α = {shown.alpha}", list(_blocks(shown)))
 
 
-def gather(out: Path, results: Mapping[str, Any], data: BenchSet) -> View:
+def gather(out: Path, results: Mapping[str, Any], data: BenchSet) -> ShownView:
     """The view whose ground truth changes most, at an α that as many rows as possible have."""
     lines = [line for line in results["lines"] if line["set"] == data.label]
     counts = Counter(int(a) for line in lines for a in line["alphas"] if float(a) > 0)
@@ -75,10 +75,10 @@ def gather(out: Path, results: Mapping[str, Any], data: BenchSet) -> View:
         if f"{alpha:g}" in line["alphas"]:
             folder = picture_folder(out / "runs" / data.label / line["method"], line["row"])
             videos[line["row"]] = video_of(capture, rows, folder)
-    return View(data.label, alpha, capture.paths[rows[0]].name, data.fps, videos)
+    return ShownView(data.label, alpha, capture.paths[rows[0]].name, data.fps, videos)
 
 
-def _blocks(s: View) -> Iterator[Block]:
+def _blocks(s: ShownView) -> Iterator[Block]:
     yield Text(_slider(s), plain=True)
     frames = {row: to_bytes(video) for row, video in s.videos.items()}
     films = [film(clip(video, s.fps, edge=256), video[0], row) for row, video in frames.items()]
@@ -96,14 +96,14 @@ def _blocks(s: View) -> Iterator[Block]:
     yield _differences(s)
 
 
-def _slices(s: View) -> tuple[Line, dict[str, np.ndarray]]:
+def _slices(s: ShownView) -> tuple[SliceLine, dict[str, np.ndarray]]:
     """[TG4MM] Fig. 3: where they are cut, and uint8 pictures."""
     line = line_that_moves(s.videos[TRUTH])
     periods = -(-_REPEATS // len(s.videos[TRUTH]))
     return line, {row: slice_picture(to_bytes(video), line, periods) for row, video in s.videos.items()}
 
 
-def _maps(s: View) -> tuple[dict[str, np.ndarray], float, int]:
+def _maps(s: ShownView) -> tuple[dict[str, np.ndarray], float, int]:
     """[TG4MM] Fig. 4: what changes from frame to frame, side by side as uint8 pictures; their scale, their number."""
     n = min(_MAPS, len(s.videos[TRUTH]) - 1)
     maps = {row: difference_maps(video, n) for row, video in s.videos.items()}
@@ -112,7 +112,7 @@ def _maps(s: View) -> tuple[dict[str, np.ndarray], float, int]:
     return {row: map_picture(strip, top) for row, strip in strips.items()}, top, n
 
 
-def _write_figures(folder: Path, s: View) -> None:
+def _write_figures(folder: Path, s: ShownView) -> None:
     def titled(pictures: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         return {f"{row}, α = {s.alpha}" if row == TRUTH else row: p for row, p in pictures.items()}
 
@@ -120,7 +120,7 @@ def _write_figures(folder: Path, s: View) -> None:
     write_sheet(folder / f"{s.label}_differences.png", titled(_maps(s)[0]))
 
 
-def _differences(s: View) -> Figure:
+def _differences(s: ShownView) -> Figure:
     maps, top, n = _maps(s)
     strips = [picture(strip, row, f"difference maps: {row}", True) for row, strip in maps.items()]
     caption = (
@@ -130,7 +130,7 @@ def _differences(s: View) -> Figure:
     return Figure(strips, caption, 2)
 
 
-def _slider(s: View) -> Markup:
+def _slider(s: ShownView) -> Markup:
     """Two rows laid over each other with an edge to move, where the ground truth is farthest from its mean."""
     truth = s.videos[TRUTH]
     t = int(((truth - truth.mean(0)) ** 2).mean((1, 2, 3)).argmax())

@@ -6,7 +6,7 @@ from typing import Any
 from tg4mm.research.bench.means import mean, scalars
 from tg4mm.research.bench.scored import METRICS
 from tg4mm.research.evaluate.run import CEILING, STATIC
-from tg4mm.research.text import NOTHING, Table, shown
+from tg4mm.research.text import NOTHING, TextTable, shown
 
 Results = Mapping[str, Any]
 Columns = Sequence[tuple[str, str, str]]  # key, title, format
@@ -88,7 +88,7 @@ def groups_of(results: Results) -> list[str]:
     return list(dict.fromkeys(m["group"] for m in (*results["line_means"], *results["means"])))
 
 
-def tables_of(results: Results, group: str) -> list[Table]:
+def tables_of(results: Results, group: str) -> list[TextTable]:
     """Return the tables of a group that are not empty: means by α, motion, modes, cost."""
     found = [
         *pivots(results["line_means"], group),
@@ -101,7 +101,7 @@ def tables_of(results: Results, group: str) -> list[Table]:
     return [t for t in found if t.rows]
 
 
-def pivots(means: Sequence[Mapping[str, Any]], group: str) -> Iterator[Table]:
+def pivots(means: Sequence[Mapping[str, Any]], group: str) -> Iterator[TextTable]:
     """Yield a table of means for each measured metric: a row for each method, a column for each α."""
     mine = _framed([m for m in means if m["group"] == group])
     alphas = sorted({a for m in mine for a in m["alphas"]}, key=float)
@@ -115,7 +115,7 @@ def pivots(means: Sequence[Mapping[str, Any]], group: str) -> Iterator[Table]:
             if any(key in m["alphas"].get(a, {}) for a in known)
         ]
         if rows:
-            yield Table(key, title, _SAYS[key], ["method", *(f"α = {a}" for a in known)], rows)
+            yield TextTable(key, title, _SAYS[key], ["method", *(f"α = {a}" for a in known)], rows)
 
 
 def _cell(means: Mapping[str, Any], alpha: str, key: str, form: str) -> str:
@@ -136,7 +136,7 @@ def with_half(value: float | None, half: float | None, form: str) -> str:
 _COMPARED = ("ssim", "ssim_moving")
 
 
-def differences_tables(results: Results, group: str) -> Iterator[Table]:
+def differences_tables(results: Results, group: str) -> Iterator[TextTable]:
     """Yield each method's difference from one of them on the same sets, which excludes the scatter of scenes."""
     mine = [m for m in results["differences"] if m["group"] == group and m["row"] not in {STATIC, CEILING}]
     alphas = sorted({a for m in mine for a in m["alphas"] if float(a) > 0}, key=float)
@@ -146,7 +146,7 @@ def differences_tables(results: Results, group: str) -> Iterator[Table]:
         title = f"{METRICS[key][0]}, less that of {results['against']}"
         note = "Mean of the differences on each set; below 0 where the method scores lower."
         if alphas and any(NOTHING not in cell for row in rows for cell in row[1:]):
-            yield Table(f"less_{key}", title, note, ["method", *(f"α = {a}" for a in alphas)], rows)
+            yield TextTable(f"less_{key}", title, note, ["method", *(f"α = {a}" for a in alphas)], rows)
 
 
 def sets_in(means: Iterable[Mapping[str, Any]]) -> set[str]:
@@ -164,7 +164,7 @@ def _framed(means: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     return sorted(means, key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
 
 
-def full_table(results: Results, group: str) -> Table:
+def full_table(results: Results, group: str) -> TextTable:
     """Return every score: a line per set, α and method."""
     members = labels_in(results, group)
     lines = [line for line in results["lines"] if line["set"] in members]
@@ -176,10 +176,10 @@ def full_table(results: Results, group: str) -> Table:
         for a, scores in line["alphas"].items()
     ]
     header = ["set", "method", "α", *_titles(columns)]
-    return Table("all", "Every set", "Every score, by set, method and α.", header, rows, 2)
+    return TextTable("all", "Every set", "Every score, by set, method and α.", header, rows, 2)
 
 
-def motion_table(results: Results, group: str) -> Table:
+def motion_table(results: Results, group: str) -> TextTable:
     """Compare the Gaussians' motion with the truth, for methods with a motion."""
     note = (
         "Motion of the Gaussians against the exact one, weighted by visibility. Error: rms of the difference by the "
@@ -187,10 +187,10 @@ def motion_table(results: Results, group: str) -> Table:
         "Leak: estimated motion of static parts. Amplitude, direction, phase and MAC: of the strongest mode."
     )
     header = ["set", "method", *_titles(_MOTION)]
-    return Table("motion", "Motion", note, header, _scalar_rows(results, group, _MOTION), 2)
+    return TextTable("motion", "Motion", note, header, _scalar_rows(results, group, _MOTION), 2)
 
 
-def own_ceiling_table(results: Results, group: str) -> Table:
+def own_ceiling_table(results: Results, group: str) -> TextTable:
     """Return closure, gain and residual by the ceiling of each method's Gaussians."""
     rows = []
     for run in _runs(results, group):
@@ -204,10 +204,10 @@ def own_ceiling_table(results: Results, group: str) -> Table:
         " of SSIM; gain and residual of the pictures' change from rest on the ceiling's."
     )
     header = ["set", "method", "α", *_titles(_SEEN)]
-    return Table("own_ceiling", "Against its own ceiling", note, header, rows, 2)
+    return TextTable("own_ceiling", "Against its own ceiling", note, header, rows, 2)
 
 
-def modes_table(results: Results, group: str) -> Table:
+def modes_table(results: Results, group: str) -> TextTable:
     """Compare each method with each mode of the truth."""
     rows = [
         [run["set"], run["row"], f"{mode['frequency_hz']:g}", *_cells(mode, _MODES)]
@@ -219,10 +219,10 @@ def modes_table(results: Results, group: str) -> Table:
         "Each frequency of the exact motion. Leak: estimated motion of parts that are static at it. MAC: modal "
         "assurance criterion, 1 if the shapes agree."
     )
-    return Table("modes", "Modes", note, header, rows, 2)
+    return TextTable("modes", "Modes", note, header, rows, 2)
 
 
-def cost_table(results: Results, group: str) -> Table:
+def cost_table(results: Results, group: str) -> TextTable:
     """Return seconds of each stage, memory, size and rendering speed ([TG4MM] Table II and Fig. 6)."""
     note = (
         "Seconds and iterations of training, most memory held in each stage, Gaussians, size of the model's files; "
@@ -244,17 +244,17 @@ def cost_table(results: Results, group: str) -> Table:
         if label in members and name not in {STATIC, CEILING} and (label, base) not in known and speed:
             rows.append([label, name, *[NOTHING] * len(_COSTS), f"{speed:.0f}"])
     header = ["set", "method", *_titles(_COSTS), "pictures/s"]
-    return Table("cost", "Cost", note, header, rows, 2)
+    return TextTable("cost", "Cost", note, header, rows, 2)
 
 
-def kinds_tables(results: Results) -> list[Table]:
+def kinds_tables(results: Results) -> list[TextTable]:
     """Return means by the kind of capture, for motion and pictures; none for a single kind."""
     found = [_motion_by_kind(results), _pictures_by_kind(results)]
     several = len({m["group"] for m in results["kind_line_means"]}) > 1
     return [table for table in found if several and table.rows]
 
 
-def _motion_by_kind(results: Results) -> Table:
+def _motion_by_kind(results: Results) -> TextTable:
     rows = [
         [m["group"], m["row"], str(m["n_sets"]), *_cells(m["scalars"], _BY_KIND)]
         for m in results["kind_means"]
@@ -264,10 +264,10 @@ def _motion_by_kind(results: Results) -> Table:
         "Means over the sets of one kind of capture. Columns as in the table Motion; frequency: error of the strongest "
         "found mode's."
     )
-    return Table("kinds_motion", "Motion by kind of capture", note, header, rows, 2)
+    return TextTable("kinds_motion", "Motion by kind of capture", note, header, rows, 2)
 
 
-def _pictures_by_kind(results: Results) -> Table:
+def _pictures_by_kind(results: Results) -> TextTable:
     columns = _scores(PIVOTS[:5])
     rows = [
         [m["group"], m["row"], str(m["n_sets"]), a, *_cells(scores, columns)]
@@ -276,7 +276,7 @@ def _pictures_by_kind(results: Results) -> Table:
     ]
     header = ["kind of capture", "method", "sets", "α", *_titles(columns)]
     note = "Means over the sets of one kind of capture."
-    return Table("kinds", "Pictures by kind of capture", note, header, rows, 2)
+    return TextTable("kinds", "Pictures by kind of capture", note, header, rows, 2)
 
 
 def _runs(results: Results, group: str) -> list[Mapping[str, Any]]:

@@ -13,8 +13,8 @@ from tg4mm.core.pages.page import (
     Block,
     Commands,
     Figure,
+    FigurePanel,
     Page,
-    Panel,
     Section,
     Stat,
     Text,
@@ -37,7 +37,7 @@ from tg4mm.research.bench.pages.tables import (
 )
 from tg4mm.research.bench.scored import METRICS
 from tg4mm.research.evaluate.run import CEILING, STATIC
-from tg4mm.research.text import Table, latex_table
+from tg4mm.research.text import TextTable, latex_table
 
 # Okabe and Ito's colours, distinct for colour-blind readers.
 COLOURS = ("#c2500f", "#0072b2", "#009e73", "#cc79a7", "#8a6d00", "#56b4e9", "#5d3a9b", "#7a7f88")
@@ -243,10 +243,10 @@ def _scores(results: Mapping[str, Any], group: str) -> Iterator[Block]:
     ):
         if drawn is not None:
             source = data_uri("image/svg+xml", drawn.encode())
-            yield Figure([Panel("img", source=source, alt=caption)], caption, width=width)
+            yield Figure([FigurePanel("img", source=source, alt=caption)], caption, width=width)
     for made in (*tables_of(results, group), full_table(results, group)):
         yield _block(made)
 
 
-def _block(made: Table) -> PageTable:
+def _block(made: TextTable) -> PageTable:
     return PageTable(made.header, made.rows, f"{made.title}. {made.note}", left=made.text_columns)
