@@ -84,6 +84,7 @@ def test_picture_agrees_with_the_core(extension, tmp_path, draw, iou, difference
     put, names = setter(extension, obj), extension.names
     put(names.DRAW, draw)
     put(names.ALPHA, ALPHA)
+    put(names.SPEED, 1.0)  # an import plays in slow motion
     put(names.MIN_OPACITY, 0.0)
     camera = add_camera((2.6, -2.2, 1.4), (SIZE, SIZE))
     bpy.ops.tg4mm.true_colours()

@@ -75,8 +75,8 @@ def test_a_kill_of_the_parent_ends_the_child(tmp_path, repo_root, monkeypatch):
 BENCH = """
 import sys
 from tg4mm.research.bench import presets
-step = presets.Step("one", (sys.executable, "-c", sys.argv[1]), ())
-presets.steps_of = lambda *a, **k: [step, presets.Step("two", (sys.executable, "-c", "open('two', 'w')"), ())]
+step = presets.PresetStep("one", (sys.executable, "-c", sys.argv[1]), ())
+presets.steps_of = lambda *a, **k: [step, presets.PresetStep("two", (sys.executable, "-c", "open('two', 'w')"), ())]
 try:
     presets.run_preset("smoke", "out")
 except KeyboardInterrupt:

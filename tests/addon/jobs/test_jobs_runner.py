@@ -26,7 +26,7 @@ def step(jobs, tmp_path):
     def make(code, label="working"):
         path = tmp_path / f"program_{len(list(tmp_path.iterdir()))}.py"
         path.write_text(code, encoding="utf-8")
-        return jobs.runner.Step(label, (sys.executable, str(path)))
+        return jobs.runner.JobStep(label, (sys.executable, str(path)))
 
     return make
 
@@ -104,7 +104,7 @@ def test_chain_of_programs_runs_to_its_end(jobs, step):
     second = step(f"print({event('progress', label='two', done=7, total=9)!r})", "second")
     job = jobs.runner.Job([first, second], environment(jobs))
     seen = run(job)
-    assert (job.state, job.results) == (jobs.runner.State.DONE, ["/data/a b/mic"])
+    assert (job.state, job.results) == (jobs.runner.JobState.DONE, ["/data/a b/mic"])
     assert list(job.warnings) == ["floor far wider"]
     assert seen[0].label in ("working", "one")  # which of them depends on the machine's load
     assert seen[-1].label == "two"
@@ -126,7 +126,7 @@ def test_chain_of_programs_runs_to_its_end(jobs, step):
 def test_failure_is_one_line(jobs, step, code, message):
     job = jobs.runner.Job([step(code), step("print('never')")], environment(jobs))
     run(job)
-    assert (job.state, job.message) == (jobs.runner.State.FAILED, message)
+    assert (job.state, job.message) == (jobs.runner.JobState.FAILED, message)
 
 
 def test_flood_of_lines_does_not_hold_up_a_poll(jobs, step, monkeypatch):
@@ -139,7 +139,7 @@ def test_flood_of_lines_does_not_hold_up_a_poll(jobs, step, monkeypatch):
         job.poll()
         most, before = max(most, len(read) - before), len(read)
         time.sleep(0.002)
-    assert job.state is jobs.runner.State.DONE
+    assert job.state is jobs.runner.JobState.DONE
     assert len(read) == 20_000
     assert 0 < most <= 2000
 
@@ -158,7 +158,7 @@ def test_poll_returns_at_once_while_a_program_hangs_and_cancel_ends_it(jobs, ste
     assert job.cancelling
     job.cancel()
     run(job, limit_s=jobs.runner.PATIENCE_S)
-    assert (job.state, job.message) == (jobs.runner.State.CANCELLED, "Stopped")
+    assert (job.state, job.message) == (jobs.runner.JobState.CANCELLED, "Stopped")
     assert not job.cancelling
 
 
@@ -182,7 +182,7 @@ def test_program_that_will_not_end_is_killed_with_what_it_started(jobs, step, ho
     assert all(alive(pid) for pid in pids)
     getattr(job, how)()
     run(job)
-    assert job.state is jobs.runner.State.CANCELLED
+    assert job.state is jobs.runner.JobState.CANCELLED
     begun = time.monotonic()
     while any(alive(pid) for pid in pids):
         assert time.monotonic() - begun < 5
@@ -193,7 +193,7 @@ def test_child_that_outlives_its_parent_does_not_hold_the_job(jobs, step):
     code = "import subprocess, sys\nsubprocess.Popen([sys.executable, '-c', 'import time; time.sleep(4)'])"
     job = jobs.runner.Job([step(code)], environment(jobs))
     run(job, limit_s=3.5)
-    assert job.state is jobs.runner.State.DONE
+    assert job.state is jobs.runner.JobState.DONE
 
 
 def test_environment_takes_nothing_from_the_folder_a_program_runs_in(jobs, step, tmp_path, monkeypatch):
@@ -201,7 +201,7 @@ def test_environment_takes_nothing_from_the_folder_a_program_runs_in(jobs, step,
     (tmp_path / "planted.py").write_text("print('planted')")
     monkeypatch.chdir(tmp_path)
     job = jobs.runner.Job(
-        [jobs.runner.Step("import", (sys.executable, "-c", "import planted"))], environment(jobs)
+        [jobs.runner.JobStep("import", (sys.executable, "-c", "import planted"))], environment(jobs)
     )
     run(job)
     assert job.message.endswith("No module named 'planted'")

@@ -115,7 +115,7 @@ def test_a_generated_dataset_is_trained_on_request(extension, core, tmp_path):
     generating, training, scene = extension.jobs.generating, extension.jobs.training, bpy.context.scene
     dataset = scene.tg4mm_train.dataset
     code = f"from tg4mm.core import events; events.emit('complete', path={dataset!r})"
-    step = extension.jobs.runner.Step("render", (sys.executable, "-c", code))
+    step = extension.jobs.runner.JobStep("render", (sys.executable, "-c", code))
 
     def generated():
         end = lambda job: generating._ended(job, tmp_path / "none", training.start_after)  # noqa: E731
