@@ -80,10 +80,12 @@ def load(
         for path in paths
         if not modes and path.with_name(DEFORMED).exists()
     ]
-    told = [f"{path.name}: {note}" for path, splat in zip(paths, splats, strict=True) for note in splat.notes]
+    notes = [
+        f"{path.name}: {note}" for path, splat in zip(paths, splats, strict=True) for note in splat.notes
+    ]
     return Imported(
         objects,
-        "; ".join([message, *told, *still]),
+        "; ".join([message, *notes, *still]),
         longest.fps if modes else 0.0,
         longest.n_timesteps,
         upright,
@@ -260,21 +262,21 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
             return {"CANCELLED"}
         finally:
             manager.progress_end()
-        told = self._stand_up(loaded)
+        notes = self._stand_up(loaded)
         for obj in loaded.objects:
-            told += _draw_as(obj, preferences.get(context).draw_as)
+            notes += _draw_as(obj, preferences.get(context).draw_as)
         _select(context, loaded.objects)
         if self.show:
-            told += framing.show(context, loaded.objects)
+            notes += framing.show(context, loaded.objects)
         if self.timeline:
-            told += scene.set_timeline(context.scene, loaded.objects, loaded.fps, loaded.n_timesteps)
+            notes += scene.set_timeline(context.scene, loaded.objects, loaded.fps, loaded.n_timesteps)
         if self.colours:
             true_colours(context.scene)
         if into != context.collection:
-            told.append(f"In {into.name}, as {context.collection.name} is hidden or linked")
+            notes.append(f"In {into.name}, as {context.collection.name} is hidden or linked")
         for obj in loaded.objects:
-            obj[names.NOTES] = "\n".join(told)
-        changed = len(changes.listed(context.scene)) + len(told)
+            obj[names.NOTES] = "\n".join(notes)
+        changed = len(changes.listed(context.scene)) + len(notes)
         self.report({"INFO"}, f"{loaded.message}{f'; {SEE}' if changed else ''}")
         return {"FINISHED"}
 
@@ -284,7 +286,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         if axes == splats.CAMERAS and loaded.upright:
             return ["Y is up in this format: rotated to Z up"]
         if axes == splats.CAMERAS:
-            axes, said = splats.told(self._paths()[0]) or (splats.FILE, "")
+            axes, said = splats.up_axis(self._paths()[0]) or (splats.FILE, "")
         if axes == splats.FILE:
             return []
         for obj in loaded.objects:

@@ -24,7 +24,7 @@ _NAMES = ("cameras.json", "transforms.json", "transforms_train.json")
 _SURE = math.cos(math.radians(45))  # nearer than this only one axis is
 
 
-def told(path: Path) -> tuple[str, str] | None:
+def up_axis(path: Path) -> tuple[str, str] | None:
     """Infer the axes from the mean up vector of the cameras; return them with the file used, or None."""
     for file in _beside(path):
         try:
@@ -125,7 +125,7 @@ def _of_mesh(obj: Any, mesh: Any) -> SplatFile:
         part = names.phasor(k)
         d[i].real, d[i].imag = values(part["re"]), values(part["im"])
         r[i].real, r[i].imag = values(part["re_r"]), values(part["im_r"])
-    told = bool(on) and all(names.deviation(k) in mesh.attributes for k in on)
+    has_deviations = bool(on) and all(names.deviation(k) in mesh.attributes for k in on)
     scale, low_pass = obj.get(names.UNIT_SCALE), obj.get(names.LOW_PASS)
     return SplatFile(
         means=means,
@@ -140,7 +140,7 @@ def _of_mesh(obj: Any, mesh: Any) -> SplatFile:
         n_timesteps=int(obj[names.TIMESTEPS]) if freqs else 1,
         unit_scale_m=None if scale is None else float(scale),
         time_origin_s=float(obj.get(names.TIME_ORIGIN, 0.0)),
-        deviation=np.array([values(names.deviation(k)) for k in on]) if told else None,
+        deviation=np.array([values(names.deviation(k)) for k in on]) if has_deviations else None,
         low_pass_px2=None if low_pass is None else float(low_pass),
     )
 

@@ -15,7 +15,7 @@ _NARROW = 280.0  # the sidebar as Blender opens it, pixels at a scale of 1
 _BESIDE, _LETTER = 82.0, 6.4  # what stands beside a line of text; a letter, on average
 
 
-_MOST_TOLD = 4  # lines of a program
+_MOST_MESSAGES = 4  # lines of a program
 
 _ui = Declared()
 _GENERATE = "VIEW3D_PT_tg4mm_generate"
@@ -130,7 +130,7 @@ def _draw_job(layout: Any, kind: str) -> bool:
     row = column.row()
     row.enabled = not job.cancelling
     row.operator("tg4mm.cancel_job", icon="CANCEL").kind = kind
-    for line in job.told[:_MOST_TOLD]:
+    for line in job.messages[:_MOST_MESSAGES]:
         _draw_lines(layout, " ".join(line.split()), "NONE")
     return True
 

@@ -152,7 +152,7 @@ class Job:
         self.progress = Progress(steps[0].label)
         self.results: list[str] = []
         self.warnings: deque[str] = deque(maxlen=_KEPT)
-        self.told: list[str] = []  # the first lines that are for people
+        self.messages: list[str] = []  # the first lines that are for people
         self._asked_at: float | None = None  # when the end was asked for
         self._asked = 0  # how many times
         self._step, self._program = steps[0], _Program(steps[0], self._environment)
@@ -206,8 +206,8 @@ class Job:
             self.warnings.append(line.warning)
         if line.result:
             self.results.append(line.result)
-        if line.is_plain and len(self.told) < _KEPT:
-            self.told.append(line.text)
+        if line.is_plain and len(self.messages) < _KEPT:
+            self.messages.append(line.text)
 
     def _finish(self) -> None:
         status = self._program.process.poll()

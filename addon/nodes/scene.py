@@ -140,11 +140,11 @@ def set_timeline(scene: Any, new: Sequence[Any], fps: float, n_timesteps: int) -
     wanted = max(1, times * n_timesteps)
     last = min(wanted, int(scene.bl_rna.properties["frame_end"].hard_max))
     changes.put(scene, {"frame_start": 1, "frame_end": last})
-    told = [f"Last frame {last:,}, as Blender has no later one"] if last < wanted else []
+    notes = [f"Last frame {last:,}, as Blender has no later one"] if last < wanted else []
     if moving and (frame := most_displaced(moving[0], last, 1 / times)) > 1:
         scene.frame_set(frame)
-        told.append(f"Frame {frame} shows the largest motion")
-    return [*told, f"Slow motion: Speed 1/{times}"] if times > 1 else told
+        notes.append(f"Frame {frame} shows the largest motion")
+    return [*notes, f"Slow motion: Speed 1/{times}"] if times > 1 else notes
 
 
 def strongest(obj: Any) -> float:

@@ -24,7 +24,7 @@ def show(context: Any, objects: Sequence[Any]) -> list[str]:
     """
     context.view_layer.update()  # where the objects are
     low, high = box(objects)
-    told = _uncover(context, objects, low, high)
+    notes = _uncover(context, objects, low, high)
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
     _aim(context.scene, middle, radius)
     window = context.window
@@ -33,7 +33,7 @@ def show(context: Any, objects: Sequence[Any]) -> list[str]:
             _frame(area, middle, radius)
     if scene.moves(objects[0]):
         pictures.prepare(*panel.spectrum_picture(context, objects[0]))
-    return told
+    return notes
 
 
 def box(objects: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -74,7 +74,7 @@ def _aim(scene: Any, middle: np.ndarray, radius: float) -> None:
 
 
 def _uncover(context: Any, objects: Sequence[Any], low: np.ndarray, high: np.ndarray) -> list[str]:
-    told = []
+    notes = []
     for other in context.view_layer.objects:
         if other in objects or other.type not in _SOLID or not other.visible_get() or names.MARK in other:
             continue
@@ -83,8 +83,8 @@ def _uncover(context: Any, objects: Sequence[Any], low: np.ndarray, high: np.nda
         if _is_startup_cube(other) and (least < high).all() and (largest > low).all():
             changes.hide(other)
         elif other.display_type not in ("WIRE", "BOUNDS") and (least < low).all() and (largest > high).all():
-            told.append(f"The splats are inside {other.name}")
-    return told
+            notes.append(f"The splats are inside {other.name}")
+    return notes
 
 
 def _is_startup_cube(obj: Any) -> bool:

@@ -263,7 +263,7 @@ def _curve(
 ) -> np.ndarray:
     values = np.array(phasors).reshape(-1, 3)
     read = probe.Probe("", np.array(freqs), values, np.zeros((len(freqs), 3)), fps, n_timesteps)
-    if n_timesteps > 4 * plots.SIDE:  # more than can be told apart
+    if n_timesteps > 4 * plots.SIDE:  # more than can be distinguished
         return plots.series(*probe.envelope(read, plots.SIDE), unit)
     return plots.series(*probe.series(read, min(PER_TIMESTEP, 4 * plots.SIDE // n_timesteps)), unit)
 

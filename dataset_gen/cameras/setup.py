@@ -236,7 +236,7 @@ def scene_time(setup: CameraSetup, camera: SceneCamera, timestep: int) -> float 
     """Return the scene time in seconds of a training picture, or None if the scene is at rest.
 
     The scene's clock is the one that the exact motion and the test views go by, and it is camera 0's: a time that all
-    clocks are off by cannot be told from pictures. On its camera's own clock a picture is taken at timestep / fps, as
+    clocks are off by cannot be known from pictures. On its camera's own clock a picture is taken at timestep / fps, as
     the pose file says; the offset only the truth says.
     """
     if not films(setup, camera):

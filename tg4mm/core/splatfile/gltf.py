@@ -101,9 +101,9 @@ class Document:
         if "sparse" in found:
             raise SplatFileError("has a sparse accessor, which this reader does not know")
         if not isinstance(kind, int) or kind not in _TYPES or _WIDTHS.get(str(found.get("type"))) != width:
-            told = f"{found.get('type')!r:.20} of {kind!r:.20}"
+            held = f"{found.get('type')!r:.20} of {kind!r:.20}"
             raise SplatFileError(
-                f"an accessor holds {told}; expected {width} numbers of a type that glTF knows"
+                f"an accessor holds {held}; expected {width} numbers of a type that glTF knows"
             )
         dtype = np.dtype(_TYPES[kind])
         view = self.view(found.get("bufferView"))
@@ -184,11 +184,11 @@ def _check_shapes(document: dict[str, Any]) -> None:
         objects(mesh.get("primitives", []), "primitives")
         for primitive in mesh.get("primitives", []):
             objects(primitive.get("targets", []), "targets")
-            told = primitive.get("extensions", {})
-            inner = told.get("KHR_gaussian_splatting", {}) if isinstance(told, dict) else None
+            extensions = primitive.get("extensions", {})
+            inner = extensions.get("KHR_gaussian_splatting", {}) if isinstance(extensions, dict) else None
             deeper = inner.get("extensions", {}) if isinstance(inner, dict) else None
             packed = list(deeper.values()) if isinstance(deeper, dict) else [None]
-            objects([primitive.get("attributes", {}), told, inner, deeper, *packed], "a primitive")
+            objects([primitive.get("attributes", {}), extensions, inner, deeper, *packed], "a primitive")
 
 
 def head_of_gltf(path: Path) -> Head:
@@ -244,10 +244,10 @@ def _splats(document: Document) -> list[tuple[np.ndarray, dict[str, Any]]]:
 
 
 def _is_splats(primitive: dict[str, Any]) -> bool:
-    told = primitive.get("extensions", {}).get(EXTENSION)
-    if told is None:
+    extension = primitive.get("extensions", {}).get(EXTENSION)
+    if extension is None:
         return False
-    kernel = told.get("kernel", "ellipse")
+    kernel = extension.get("kernel", "ellipse")
     if kernel != "ellipse":
         raise SplatFileError(f"has splats of the kernel {str(kernel)[:40]!r}; expected ellipse")
     return True
@@ -274,12 +274,12 @@ def _matrix(node: dict[str, Any]) -> np.ndarray:
 
 
 def _gaussians(document: Document, primitive: dict[str, Any], about: dict[str, Any] | None) -> SplatFile:
-    told = primitive["extensions"][EXTENSION]
+    extension = primitive["extensions"][EXTENSION]
     for name in SPZ:
-        if name in (packed := told.get("extensions", {})):
+        if name in (packed := extension.get("extensions", {})):
             return read_spz(bytes(document.view(packed[name].get("bufferView"))), turn=False)
     attributes, notes = primitive.get("attributes", {}), []
-    if (space := told.get("colorSpace", "srgb_rec709_display")) != "srgb_rec709_display":
+    if (space := extension.get("colorSpace", "srgb_rec709_display")) != "srgb_rec709_display":
         notes.append(
             f"its colours are in {str(space)[:40]}, and taken to be sRGB: their brightness is not right"
         )
@@ -319,10 +319,10 @@ def _gaussians(document: Document, primitive: dict[str, Any], about: dict[str, A
 def _ours(document: Document) -> dict[str, Any] | None:
     """Return tg4mm's own record of the splat in the document, or None for other writers."""
     nodes = [node for node in document.objects("nodes") if isinstance(node.get("extras"), dict)]
-    told = [node["extras"]["tg4mm"] for node in nodes if "tg4mm" in node["extras"]]
-    if len(told) != 1 or len(_splats(document)) != 1:
+    extras = [node["extras"]["tg4mm"] for node in nodes if "tg4mm" in node["extras"]]
+    if len(extras) != 1 or len(_splats(document)) != 1:
         return None
-    about = told[0]
+    about = extras[0]
     good = isinstance(about, dict) and all(
         isinstance(about.get(key), list) and all(Number().fits(v) for v in about[key])
         for key in ("frequencies_hz", "alphas")

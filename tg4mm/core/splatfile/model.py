@@ -236,10 +236,10 @@ def drawable(fields: dict[str, Any], notes: Sequence[str] = ()) -> SplatFile:
     `notes`. Raises SplatFileError where no Gaussian is left, or for what SplatFile refuses.
     """
     fields = {name: value for name, value in fields.items() if value is not None}
-    n, told = len(fields["means"]), list(notes)
+    n, said = len(fields["means"]), list(notes)
     if fields["sh"].shape[1] > SH_COUNTS[-1]:
         fields["sh"] = fields["sh"][:, : SH_COUNTS[-1]]
-        told.append("its spherical harmonics of degree 4 are cut to degree 3")
+        said.append("its spherical harmonics of degree 4 are cut to degree 3")
     with np.errstate(over="ignore", invalid="ignore"):
         for name in _FIRST:
             fields[name] = np.ascontiguousarray(fields[name], np.float32)
@@ -249,13 +249,13 @@ def drawable(fields: dict[str, Any], notes: Sequence[str] = ()) -> SplatFile:
         why = ", ".join(f"{reason} ({bad.sum():,})" for reason, bad in reasons.items())
         if not keep.any():
             raise SplatFileError(f"has nothing to draw: each of its {n:,} Gaussians has {why}")
-        told.append(f"{n - keep.sum():,} of {n:,} Gaussians are left out, for {why}")
+        said.append(f"{n - keep.sum():,} of {n:,} Gaussians are left out, for {why}")
         fields |= {name: fields[name][keep] for name in _FIRST}
         fields |= {name: fields[name][:, keep] for name in _SECOND if name in fields}
     if "freqs_hz" not in fields:
         none = np.zeros((0, len(fields["means"]), 3), np.complex64)
         fields |= {"freqs_hz": np.zeros(0), "displacement": none, "rotation": none}
-    return SplatFile(**fields, notes=tuple(told))
+    return SplatFile(**fields, notes=tuple(said))
 
 
 def _reasons(fields: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -22,7 +22,7 @@ FILTER = ("filter_3D",)  # of Mip-Splatting, scene units
 PREFIX = "scalar_"  # of CloudCompare, before each property that it does not know
 NEEDED = (*model.POSITION, *model.F_DC, *model.OPACITY, *model.SCALE, *model.ROTATION)
 OF_SPLATS = (*model.OPACITY, *model.SCALE, *model.ROTATION)
-# Properties by which files are told whose Gaussians are not at rest, or not there: what each is.
+# Properties by which files are recognised whose Gaussians are not at rest, or not there: what each is.
 _KINDS = {
     r"(t|time|scale_t|t_scale|rot_r_[0-3])": "4D Gaussian splatting, whose Gaussians live in space and time",
     r"(trbf_(center|scale)|omega_[0-3]|motion_[0-9]+)": "Spacetime Gaussians, which move along polynomials",
@@ -292,12 +292,12 @@ def _said(about: dict[str, Any], m: int) -> dict[str, Any]:
 def _infinite(logs: np.ndarray, logits: np.ndarray) -> list[str]:
     """Return notes on Gaussians with valid but infinite values: log 0 and the logits of 0 and 1."""
     flat, ends = int(np.isneginf(logs).any(axis=1).sum()), int(np.isinf(logits).sum())
-    told = []
+    notes = []
     if flat:
-        told.append(f"{flat:,} of {len(logits):,} Gaussians have a scale of log 0: read as flat")
+        notes.append(f"{flat:,} of {len(logits):,} Gaussians have a scale of log 0: read as flat")
     if ends:
-        told.append(f"{ends:,} of {len(logits):,} Gaussians have an infinite logit: read as opacity 0 or 1")
-    return told
+        notes.append(f"{ends:,} of {len(logits):,} Gaussians have an infinite logit: read as opacity 0 or 1")
+    return notes
 
 
 def _smoothed(scales: np.ndarray, opacities: np.ndarray, smooth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -210,8 +210,8 @@ def _size_of_webp(data: bytes, name: str) -> tuple[int, int]:
     """Width and height of a lossless WebP, from its header."""
     if data[:4] != b"RIFF" or data[8:12] != b"WEBP" or len(data) < 25:
         raise SplatFileError(f"{name} is no WebP picture")
-    if (told := 8 + int.from_bytes(data[4:8], "little")) != len(data):
-        raise SplatFileError(f"{name} is truncated or too long: {len(data)} bytes, expected {told}")
+    if (expected := 8 + int.from_bytes(data[4:8], "little")) != len(data):
+        raise SplatFileError(f"{name} is truncated or too long: {len(data)} bytes, expected {expected}")
     if data[12:16] == b"VP8X" and len(data) >= 30:
         return 1 + int.from_bytes(data[24:27], "little"), 1 + int.from_bytes(data[27:30], "little")
     if data[12:16] != b"VP8L":
