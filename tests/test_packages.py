@@ -137,7 +137,7 @@ def test_what_the_core_needs_is_to_be_had(version, built, tmp_path):
         assert f" {name}-" in found
 
 
-MOTION = ["spectrum", "steady", "pcg", "observations", "linear_fit", "uncertainty", "split_half"]
+MOTION = ["spectrum", "sinusoidal", "pcg", "observations", "linear_fit", "uncertainty", "split_half"]
 
 
 def test_the_core_trains_in_a_clean_environment(built, data, tmp_path, repo_root):

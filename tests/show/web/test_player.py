@@ -63,7 +63,7 @@ def picture(page, camera, **state):
 
 def ours(run, camera, time, alpha, band=None):
     motion = run.load_motion()
-    moved = animate(run.load_space(), motion, time, alphas(motion, alpha, band))
+    moved = animate(run.load_space(), motion, time, 0.0 if motion is None else alphas(motion, alpha, band))
     return render_image(moved, camera.viewmat, camera.K, camera.width, camera.height)
 
 
