@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import config, float32, float64, get_thread_id, njit, prange
+from numba import config, float32, float64, get_thread_id, prange
 
-from tg4mm.fit.rasterize.kernels.compiled import kernel
+from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, part
 from tg4mm.fit.rasterize.kernels.layout import FEAT, FEATURES, POWER
 from tg4mm.fit.rasterize.kernels.project import ROWS
 from tg4mm.fit.rasterize.kernels.project_backward import backward_rows
@@ -47,7 +47,7 @@ def compare(image, transmittance, target, white, gain, scale, l2, more, v_image,
         squares[y] = total
 
 
-@njit(error_model="numpy")  # no fastmath: the same bits wherever it is compiled into
+@part  # no fastmath: the same bits wherever it is compiled into
 def _activate_rows(log_scales, logits, scales, opacities):
     one = float32(1.0)
     for i in range(len(logits)):
@@ -66,7 +66,7 @@ def activate(log_scales, logits, scales, opacities):
 
 
 # No fastmath in a step: its last bits would depend on whether this process compiled it or found it in the cache.
-@njit(error_model="numpy", forceinline=True)
+@inlined
 def _adam(value, m, v, gradient, rate, root):
     """One number's step. rate: learning rate / (1 − β1^t); root: 1 / √(1 − β2^t)."""
     m = m + float32(1 - BETA1) * (gradient - m)
@@ -74,13 +74,13 @@ def _adam(value, m, v, gradient, rate, root):
     return value - rate * m / (math.sqrt(v) * root + float32(EPSILON)), m, v
 
 
-@njit(error_model="numpy")
+@part
 def _step_flat(values, ms, vs, gradients, rate, root):
     for k in range(len(values)):
         values[k], ms[k], vs[k] = _adam(values[k], ms[k], vs[k], gradients[k], rate, root)
 
 
-@njit(error_model="numpy")
+@part
 def _step_sh(values, ms, vs, gradients, rates, root):
     """Arrays [n, coefficients · 3]; the first `len(rates)` of a row are stepped, each at its own rate."""
     for i in range(len(values)):
@@ -111,7 +111,8 @@ def step(values, ms, vs, active, view, splats, v_splats, error, rates, root, roo
     n, zero, one = len(logits), float32(0.0), float32(1.0)
     coefficients, asked = sh.shape[1], (degree + 1) * (degree + 1)
     sh_rates = np.empty(3 * asked, np.float32)
-    sh_rates[:3], sh_rates[3:] = rates[SH0], rates[SHN]
+    for k in range(3 * asked):
+        sh_rates[k] = rates[SH0] if k < 3 else rates[SHN]
     yes = n >= 0  # not a literal: for each value of it `backward_rows` would be compiled anew
     for chunk in prange((n + ROWS - 1) // ROWS):
         a, b = chunk * ROWS, min(n, chunk * ROWS + ROWS)

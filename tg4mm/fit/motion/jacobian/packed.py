@@ -160,7 +160,8 @@ def _of_some(means, quats, scales, sh, degree, camera, width, height, splats, co
     no = n < 0  # not a literal: for each value of it `backward_rows` would be compiled anew
     for c in range(len(columns)):
         v_splats[:, columns[c]] = float32(1.0)
-        v_means[:], v_quats[:] = float32(0.0), float32(0.0)
+        v_means.fill(float32(0.0))
+        v_quats.fill(float32(0.0))
         backward_rows(
             means, quats, scales, sh, degree, camera, width, height, splats, v_splats, no,
             v_means, v_quats, v_scales, v_opacities, v_sh,
@@ -169,7 +170,8 @@ def _of_some(means, quats, scales, sh, degree, camera, width, height, splats, co
         for i in range(n):
             w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
             vw, vx, vy, vz = v_quats[i, 0], v_quats[i, 1], v_quats[i, 2], v_quats[i, 3]
-            out[i, c, :3] = v_means[i]
+            for k in range(3):  # a slice's assignment compiles for a second longer
+                out[i, c, k] = v_means[i, k]
             # a rotation by small angles θ about the world's axes turns a quaternion q by (0, θ) q / 2
             out[i, c, 3] = half * (w * vx - x * vw + y * vz - z * vy)
             out[i, c, 4] = half * (w * vy - y * vw + z * vx - x * vz)

@@ -58,7 +58,7 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         options["parallel"] = dict.fromkeys(_ALONE, False)
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher = njit(cache=True, error_model="numpy", **options)(function)
+        dispatcher = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
         # numba has no public way to say what a cached function depends on
         index: Any = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
         if hasattr(index, "_source_stamp"):
@@ -66,6 +66,15 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return dispatcher
 
     return decorate
+
+
+# Of parts, which kernels alone call: wrappers for calls from Python would take a sixth of all compile time.
+_PART = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+
+def part(function: Callable[..., Any]) -> Any:
+    """Compile a part of kernels, which LLVM may inline."""
+    return njit(**_PART)(function)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
@@ -76,4 +85,4 @@ def inlined(function: Callable[..., Any]) -> Any:
     No part may have `fastmath`: its last bits would depend on what it is optimised together with, hence on whether
     this process compiled it.
     """
-    return njit(error_model="numpy", forceinline=True)(function)
+    return njit(forceinline=True, **_PART)(function)

@@ -9,10 +9,10 @@ Sixteen Gaussians at a time, a lane a Gaussian (`vector.py`).
 import math
 
 import numpy as np
-from numba import float32, int64, njit, prange
+from numba import float32, int64, prange
 
 from tg4mm.fit.rasterize.buffers import Buffers
-from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, part
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, POWER, SPLAT_WIDTH, SQUARES
 from tg4mm.fit.rasterize.kernels.sh import colour
 from tg4mm.fit.rasterize.simd import functions  # noqa: F401, roots and logarithms of vectors
@@ -105,7 +105,7 @@ def camera_centre(cam):
     )
 
 
-@njit(error_model="numpy")
+@part
 def _sixteen(means, quats, scales, opacities, features, starts, degree, cam, width, height, splats):
     """`project_forward` of sixteen Gaussians: addresses of the first one's rows. Of `features` only if degree >= 0."""
     one, half, zero = float32(1.0), float32(0.5), broadcast(float32(0.0))

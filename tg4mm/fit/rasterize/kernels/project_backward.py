@@ -7,9 +7,9 @@ cheaper than reading it.
 import math
 
 import numpy as np
-from numba import float32, int64, njit, prange
+from numba import float32, int64, prange
 
-from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, part
 from tg4mm.fit.rasterize.kernels.layout import CA, CB, CC, FEAT, FEATURES, MX, MY, OP, POWER, SPLAT_WIDTH
 from tg4mm.fit.rasterize.kernels.project import (
     CX,
@@ -101,7 +101,7 @@ def _axis(slope, centre, focal, size, reciprocal, v_slope, g):
     return along, step * held * select(free, two, one) - focal * reciprocal * slope * g
 
 
-@njit(error_model="numpy")
+@part
 def _sixteen(given, sums, view, cam, width, height, room):
     """`backward_rows` of sixteen Gaussians: addresses of the first one's rows, inputs and sums."""
     means, quats, scales, features, splats, v_splats = given
