@@ -1,4 +1,4 @@
-"""How near the motion of runs of generated sets comes to what their pictures can tell.
+"""Error of the motion of runs on generated sets, relative to the smallest error that their pictures allow.
 
     tg4mm generate NAME --out data; tg4mm train data/SET --out RUN; tg4mm evaluate RUN --alphas 20
     python -m benchmarks bounds RUN…

@@ -1,4 +1,4 @@
-"""What compression takes from small motion, and what the blind test tells of it, on random films.
+"""The loss of small motion by compression, and its estimate by the blind test, on random films.
 
 python -m benchmarks codec_loss [--films N] [--first SEED]: a line for each film, then rms errors and coverage.
 """
@@ -27,7 +27,7 @@ REGION[36:94, 46:144] = True
 
 @dataclass(frozen=True)
 class CodecFilm:
-    """What was drawn."""
+    """A film with randomly drawn parameters."""
 
     codec: str
     options: dict[str, str]

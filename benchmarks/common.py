@@ -1,4 +1,4 @@
-"""What the benchmarks share: the machine's description, the times of calls, a table of what is found and true."""
+"""Parts that the benchmarks share: the machine's description, times of calls, a table of found and true values."""
 
 import os
 import platform

@@ -208,7 +208,7 @@ def tables(figures: Mapping[str, Any]) -> dict[str, str]:
                 "| mean ± 95 % confidence interval | best | worst |",
                 "|---|---:|---:|---:|",
                 f"| displacement error, rms, relative to the true motion | {' | '.join(cells)} |",
-                f"| SSIM below that of the same Gaussians moved exactly, α = {' / '.join(_LOST_AT)} "
+                f"| SSIM lost, compared with the same Gaussians moved exactly, at α = {' / '.join(_LOST_AT)} "
                 f"| {' / '.join(lost)} | | |",
             ]
         ),

@@ -12,8 +12,7 @@ import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
 from benchmarks.common import print_found
-from tg4mm.show.analyse.results import analyse
-from tg4mm.show.analyse.write import format_analysis
+from tg4mm.show.analyse.results import analyse, format_analysis
 from tg4mm.show.options import AnalyseOptions
 
 OPTIONS: dict[str, Any] = {"out": Path}

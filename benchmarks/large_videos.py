@@ -1,4 +1,4 @@
-"""What large, long videos cost: seconds of processor and GiB of look, sfm and train, by pixels and pictures.
+"""The cost of large, long videos: processor seconds and GiB of look, sfm and train, by pixels and pictures.
 
 A plate, a quarter of the picture wide, sways by 0.2 px at 5.7 Hz before a still wall; noise of 1.5 grey levels, H.264
 of 8 Mbit/s at 1920×1080 and in proportion at others.
@@ -88,7 +88,7 @@ def _cost(words: list[str]) -> str:
 
 
 def _found(path: Path) -> str:
-    """What the region shows and what the fitted motion holds of the plate's sway, of the truth."""
+    """Return the plate's sway by region and by fitted motion, each as a share of the truth."""
     run = Run.open(path)
     look, fit, capture = look_of(run), run.load_fit(), load_capture(run.dataset)
     K, viewmat = capture.Ks[0], capture.viewmats[0]

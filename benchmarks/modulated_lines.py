@@ -53,7 +53,7 @@ def change(rng: np.random.Generator, kind: str, t: np.ndarray, fastest: float) -
 
 
 def scored(seed: int, kind: str, longest: int = 1500) -> tuple[bool, int, float, str]:
-    """Whether a record's line was lost, how many others there are, and the frequency's error over its ±."""
+    """Return whether a record's line was lost, how many others there are, and the frequency's error over its ±."""
     values, t, hz, words = draw(np.random.default_rng([seed, KINDS.index(kind)]), kind, longest)
     lines = find_lines(values, t).lines
     own = [line for line in lines if abs(line.hz - hz) < 0.5 / t[-1] and line.amplitude[0] > 0.5]
@@ -63,7 +63,7 @@ def scored(seed: int, kind: str, longest: int = 1500) -> tuple[bool, int, float,
 
 
 def told_apart(seed: int, apart: float, ratio: float, noise: float) -> bool:
-    """Whether two lines of a record of 300 samples are two."""
+    """Return whether two lines of a record of 300 samples are two."""
     rng, t = np.random.default_rng(seed), np.arange(300) / 30
     hz = rng.uniform(3, 10)
     both = hz, hz + apart / 10 * rng.choice([-1, 1])

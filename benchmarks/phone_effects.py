@@ -1,4 +1,4 @@
-"""What a phone does to a picture: films with exact truth, one effect each, through look and sfm, train, measure.
+"""Effects of a phone on a picture: films with exact truth, one effect each, through look and sfm, train, measure.
 
 A plate vibrates before a still wall; texture, place, frequency and size of its motion are drawn by a seed, the same for
 every effect. 10 s of 320×180 at 30 Hz, HEVC. The table: what is found of the truth, and whether the effect is named.
@@ -36,7 +36,7 @@ OPTIONS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Effect:
-    """What happens to a film, all of it 0 or 1 where nothing does."""
+    """Strengths of the effects on a film; 0 or 1 is no effect."""
 
     shift: Callable[[float], np.ndarray] = lambda t: np.zeros(2)  # pixels right and down
     zoom: Course = lambda t: 0.0  # relative, about the picture's middle

@@ -16,7 +16,7 @@ import torch
 
 from benchmarks.common import Times, machine, timed
 from tg4mm.capture import load_capture
-from tg4mm.fit.rasterize.buffers import Buffers
+from tg4mm.core.memory import Buffers
 from tg4mm.fit.rasterize.kernels import binning
 from tg4mm.fit.rasterize.kernels import project as projection
 from tg4mm.fit.rasterize.kernels.blend import blend_forward

@@ -15,7 +15,7 @@ from benchmarks.common import print_found
 from tg4mm.capture.look import look
 from tg4mm.core.regions import Region, Regions, Scale, write_regions
 from tg4mm.show.analyse.quantities import LIMITS
-from tg4mm.show.look.words import Words
+from tg4mm.show.look import LookText
 
 OPTIONS: dict[str, Any] = {"out": Path, "--only": {"choices": ("pump", "bridge"), "help": "one of them"}}
 WIDTH, HEIGHT = 320, 192
@@ -108,5 +108,5 @@ def run(options: Any) -> None:
                 )
             if not truth[one.region.name]:
                 print(f"{one.region.name}: {len(one.lines)} lines; true are 0")
-        print("\n".join(Words(found, video, drawn=regions, drawn_file=file).lines()))
+        print("\n".join(LookText(found, video, drawn=regions, drawn_file=file).lines()))
     print_found(rows)

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tg4mm.core import events
 from tg4mm.core.digits import aligned
 from tg4mm.core.errors import Tg4mmError, system_says
 from tg4mm.core.parent import end_with_parent
+from tg4mm.core.progress import emit_event, events_wanted, print_any_text, say
 
 from . import run
 from .options import Request, parser, request_from
@@ -113,7 +113,7 @@ def _place(position: Sequence[float] | np.ndarray) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the generator. Returns 0 done, 2 bad input (one line says what), 1 failed, 130 stopped."""
-    events.print_any_text()
+    print_any_text()
     with _stopped_once():
         end_with_parent()
         return _run(argv)
@@ -155,16 +155,16 @@ def _run(argv: Sequence[str] | None) -> int:
         for settings in request.sets:
             start = time.monotonic()
             word, path = _do(request, settings)
-            if events.wanted():
-                events.emit(word, path=str(path))
+            if events_wanted():
+                emit_event(word, path=str(path))
             else:
                 print(f"{word}: {path}  ({time.monotonic() - start:.0f} s)", file=sys.stderr)
     except Tg4mmError as error:
-        events.say("error", str(error), "error: ")
+        say("error", str(error), "error: ")
         return 2
     except (RunFailed, OSError) as error:
         said = system_says(error, named=True) if isinstance(error, OSError) else str(error)
-        events.say("error", said, "error: ")
+        say("error", said, "error: ")
         return 1
     except KeyboardInterrupt:
         print("stopped; run the same command again to continue", file=sys.stderr)

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.core import __version__, events
+from tg4mm.core import __version__
+from tg4mm.core.progress import say
 
 from . import processes, tree, truth
 from .cameras import cameras_at
@@ -120,7 +121,7 @@ def inspected(source: Source) -> FileContents:
         processes.inspect(source, file)
         found = bodies_file.load(file)
     for warning in found.warnings:
-        events.say("warning", str(warning), "warning: ")
+        say("warning", str(warning), "warning: ")
     return found
 
 

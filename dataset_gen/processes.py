@@ -13,9 +13,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
 
-from tg4mm.core import events
 from tg4mm.core.parent import ending_with_this
-from tg4mm.core.progress import progress
+from tg4mm.core.progress import progress, say
 
 from .errors import GenerateError
 from .plan import RANGE, ranges
@@ -158,7 +157,7 @@ class _Pool:
         """Once each: every worker finds the same."""
         if note not in self._noted:
             self._noted.add(note)
-            events.say("note", note)
+            say("note", note)
 
     def _fail(self, why: str) -> None:
         self._failure = self._failure or why

@@ -7,10 +7,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
-from tg4mm.core import events
 from tg4mm.core.files import remove_leftovers
 from tg4mm.core.pictures import png
-from tg4mm.core.progress import progress
+from tg4mm.core.progress import progress, say
 from tg4mm.core.untrusted import read_formed
 
 from . import points, processes, tree
@@ -35,7 +34,7 @@ def generate(settings: Settings, out: Path, count: int = 0, stream: TextIO | Non
     """
     stream = stream or sys.stderr
     job = claim(plan(settings, out))
-    with tree.work_folder(job.root).held("makes this dataset"):
+    with tree.work_folder(job.root).locked("makes this dataset"):
         codec.begin(job.root, job.settings)
         path = job.root / TIMING
         former = [_timing(path)] if path.exists() else []
@@ -97,7 +96,7 @@ def finish(job: DatasetJob, stream: TextIO) -> Path:
         try:
             write_report(job.root)
         except GenerateError as error:  # a package is missing: inside Blender's own Python they often are
-            events.say("warning", f"no report: {error}", "warning: ", stream)
+            say("warning", f"no report: {error}", "warning: ", stream)
     return job.root
 
 
@@ -129,7 +128,7 @@ def render_part(settings: Settings, out: Path, part: tuple[int, int], count: int
 def finish_parts(settings: Settings, out: Path, stream: TextIO) -> Path:
     """Finish the dataset after all parts are rendered."""
     job = claim(plan(settings, out))
-    with tree.work_folder(job.root).held("makes this dataset"):
+    with tree.work_folder(job.root).locked("makes this dataset"):
         return finish(job, stream)
 
 

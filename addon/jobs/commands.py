@@ -74,7 +74,7 @@ def video_steps(
 
 def environment() -> dict[str, str]:
     """Return an environment for a child Python: unbuffered UTF-8 output, progress as events
-    (tg4mm/core/events.py), no imports from the current folder."""
+    (tg4mm/core/progress.py), no imports from the current folder."""
     kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONHOME", "PYTHONSTARTUP")}
     return kept | {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "PYTHONSAFEPATH": "1", "TG4MM_EVENTS": "json"}
 

@@ -62,7 +62,7 @@ class TrueVibration:
 
 @dataclass
 class FilmTruth:
-    """What a film shows."""
+    """The true content of a film."""
 
     width: int
     height: int

@@ -38,7 +38,7 @@ class Outcome:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the codec leaves the noise of most pictures."""
+        """Return whether the codec leaves the noise of most pictures."""
         return self.crf <= 20 and self.noise >= 3
 
 

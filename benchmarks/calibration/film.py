@@ -109,7 +109,7 @@ def texture(
 
 @dataclass(frozen=True)
 class Coding:
-    """How a film is stored."""
+    """Settings by which a film is encoded."""
 
     codec: str  # libx264, libx265
     bits_per_second: int

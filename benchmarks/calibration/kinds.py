@@ -19,7 +19,7 @@ from tg4mm.core.phasors import peak_displacement
 from tg4mm.research.evaluate.displacement import exact_motion
 from tg4mm.run.train import train
 from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure, prepare
-from tg4mm.show.measure.orbit import main_is_above
+from tg4mm.show.measure.spectrum import main_is_above
 from tg4mm.show.result.read import result_from
 from tg4mm.show.result.reading import ResultSources, reading_of
 

@@ -38,7 +38,7 @@ def make_photograph_film(seed: int, folder: Path) -> FilmTruth:
 
 @dataclass(frozen=True)
 class _Part:
-    """What vibrates: where its motion is 1, and how opaque it is before the photograph."""
+    """A vibrating part: the pixels where its motion is 1, and its opacity in front of the photograph."""
 
     vibration: TrueVibration
     box: tuple[slice, slice]  # pixels

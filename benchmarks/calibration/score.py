@@ -144,7 +144,7 @@ def compared(ours: Sequence[Score], theirs: Sequence[Score]) -> str:
 
 
 def share(flags: Iterable[bool]) -> str:
-    """How many of how many are true."""
+    """Return the number of true flags and of all flags as text."""
     flags = list(flags)
     return f"{sum(flags)} of {len(flags)}"
 

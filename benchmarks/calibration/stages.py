@@ -1,4 +1,4 @@
-"""What each method says of a film."""
+"""The findings of each method for a film."""
 
 import json
 import os
@@ -59,7 +59,7 @@ def whole_stage(video: Path, truth: FilmTruth, python: str) -> dict[str, Score]:
     named = []
     for v in (*result.vibrations, *result.beside):
         size, deviation = (None, None) if v.pixels is None else (v.pixels.value, v.pixels.deviation)
-        damped = v.damping, v.damping_deviation, v.begins_s or 0.0, v.place_px
+        damped = v.damping, v.damping_deviation, v.begins_s or 0.0, v.position_px
         lower_bound = v.pixels is not None and v.pixels.is_bound
         named.append(Named(v.hz, v.deviation_hz, size, deviation, *damped, bool(v.doubt), lower_bound))
     out, peaks = score(truth, named, seconds), list[Named]()
@@ -76,7 +76,7 @@ def whole_stage(video: Path, truth: FilmTruth, python: str) -> dict[str, Score]:
 def _peaks(sensor: Any, region: Region) -> Iterator[Named]:
     """Return the peaks of a sensor, as `measure.json` has them; marked: what its table marks."""
     from tg4mm.capture.codec import before_compression
-    from tg4mm.show.measure.orbit import main_is_above
+    from tg4mm.show.measure.spectrum import main_is_above
 
     left, upper, right, lower = region
     each = zip(sensor.spectrum.peaks, sensor.orbits, sensor.damping, strict=True)

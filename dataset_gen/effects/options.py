@@ -67,7 +67,7 @@ class Effects:
                 raise GenerateError(f"{option} {ms:g} is for cameras that stand still, not with {other}")
         if all(given.values()):
             raise GenerateError(
-                f"--shutter {self.shutter_ms:g} blurs whole pictures: not with --readout {self.readout_ms:g}"
+                f"--shutter {self.shutter_ms:g} blurs whole pictures, so it excludes --readout {self.readout_ms:g}"
             )
 
     def check(self, pictures: PictureFormat, size: int, timesteps: int) -> None:

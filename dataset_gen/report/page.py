@@ -10,9 +10,9 @@ from PIL import Image, ImageDraw, ImageFont
 from tg4mm.capture import Capture, dataset_tree
 from tg4mm.capture.truth_file import TRUTH_FILE, Truth, load_truth
 from tg4mm.core import __version__
+from tg4mm.core.digits import number, size_text
 from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.pages.page import Block, Figure, Page, Section, Stat, Table, Text, picture, render_page
-from tg4mm.core.pages.svg import number, size_text
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.untrusted import read_formed
 
@@ -113,7 +113,7 @@ def read_picture(path: Path) -> np.ndarray:
 
 
 def magnified(root: Path, picture: Path, alpha: float) -> Path:
-    """Where the ground truth of a test picture at α lies; the picture itself for α = 0."""
+    """Return the path of a test picture's ground truth at α; the picture itself for α = 0."""
     return root / magnified_folder(alpha) / picture.relative_to(root) if alpha else picture
 
 
@@ -242,7 +242,7 @@ def _page(f: Findings, sheet: Image.Image) -> Page:
 
 
 def warnings(f: Findings) -> list[str]:
-    """What a user of the set should know first: what is absent, and what makes it hard to use."""
+    """Return warnings for a user of the set: missing parts, and properties that make it hard to use."""
     said = []
     if f.test is None:
         said.append("There are no test views, so there is nothing to score.")

@@ -106,9 +106,7 @@ def check(path: Path, running: tuple[int, int]) -> None:
     except IsADirectoryError:
         raise GenerateError(f"{path} is a folder, not a .blend file") from None
     except (EOFError, zlib.error, gzip.BadGzipFile):
-        raise GenerateError(
-            f"{path} is truncated or damaged: its compressed data does not end well"
-        ) from None
+        raise GenerateError(f"{path} is truncated or damaged: its compressed data ends too early") from None
     except OSError as error:
         raise GenerateError(f"{path} cannot be read: {error.strerror or error}") from error
 

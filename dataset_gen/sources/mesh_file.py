@@ -111,7 +111,7 @@ def _import(path: Path, format_: _Format) -> None:
         line = (lines[-1] if "Traceback" in str(error) else lines[0]) if lines else type(error).__name__
         raise GenerateError(f"{path} cannot be imported: {line.removeprefix('Error: ')}") from None
     if status != {"FINISHED"}:
-        raise GenerateError(f"{path} cannot be imported: Blender's importer gave up")
+        raise GenerateError(f"{path} cannot be imported: Blender's importer failed")
     for mesh in bpy.data.meshes:
         if not np.isfinite(rest_positions(mesh)).all():
             raise GenerateError(f"{path}: mesh {mesh.name} has vertices that are not finite numbers")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tg4mm.capture.window import Window
+from tg4mm.capture.pictures import Window
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])

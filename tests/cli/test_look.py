@@ -118,7 +118,7 @@ def test_where_nothing_vibrates_it_is_said_with_how_small_a_motion_would_be_foun
         ("noise.mp4 --readout -1", "--readout is -1.0, expected"),
         ("noise.mp4 --readout nan", "--readout is nan, expected"),
         ("noise.mp4 --from 3 --until 2", "--from 3 --until 2: holds nothing"),
-        ("empty --from 3", "--from and --until are of videos"),
+        ("empty --from 3", "--from and --until apply to videos"),
         ("noise.mp4 --png a.jpg", "--png a.jpg: expected a name that ends in .png"),
         ("noise.mp4 --out notes.txt", "--out notes.txt: is a file; expected a folder"),
     ],

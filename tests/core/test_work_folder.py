@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tg4mm.core.errors import CaptureError, RunError
-from tg4mm.core.work_folder import Step, WorkFolder, run_steps
+from tg4mm.core.work_folder import FolderStep, WorkFolder, run_steps
 
 ASKED = {"alpha": 5.0, "cameras": {"seed": 0, "views": 3}, "band": None}
 
@@ -62,11 +62,11 @@ def test_a_torn_record_is_named(tmp_path, text):
 
 def test_somebody_elses_folder_is_left_alone(tmp_path):
     (tmp_path / "holiday.txt").touch()
-    for call in (lambda: folder(tmp_path).claim(ASKED), lambda: folder(tmp_path).held("works").__enter__()):
+    for call in (lambda: folder(tmp_path).claim(ASKED), lambda: folder(tmp_path).locked("works").__enter__()):
         with pytest.raises(RunError, match=r"is not empty and holds no work\.json, but 'holiday\.txt'"):
             call()
     assert os.listdir(tmp_path) == ["holiday.txt"]
-    folder(tmp_path, strangers="*.png").claim(ASKED)  # of which none is there
+    folder(tmp_path, foreign_files="*.png").claim(ASKED)  # of which none is there
     with pytest.raises(RunError, match=r"holiday\.txt is a file, expected a folder"):
         folder(tmp_path / "holiday.txt").claim(ASKED)
 
@@ -80,10 +80,10 @@ def test_a_second_holder_is_refused_and_nothing_is_left(tmp_path):
     (tmp_path / "mine").mkdir()
     for name in ("new/run", "mine"):
         work = folder(tmp_path / name)
-        with work.held("trains it"):
+        with work.locked("trains it"):
             assert os.listdir(work.path) == [".lock"]
             with pytest.raises(RunError, match="is in use: another process trains it; wait for it"):
-                work.held("trains it").__enter__()
+                work.locked("trains it").__enter__()
     assert not (tmp_path / "new" / "run").exists()
     assert os.listdir(tmp_path / "mine") == []
 
@@ -109,9 +109,11 @@ class Made:
             self.calls.append("page")
 
         steps = [
-            Step("data", "Data", self.root / "data", lambda: folder("data"), {"value": asked.get("data", 0)}),
-            Step("run", "Run", self.root / "run", lambda: folder("run"), {"value": asked.get("run", 0)}, ["data"]),
-            Step("page", "Page", self.root / "page", page, {}, ["run"]),
+            FolderStep("data", "Data", self.root / "data", lambda: folder("data"), {"value": asked.get("data", 0)}),
+            FolderStep(
+                "run", "Run", self.root / "run", lambda: folder("run"), {"value": asked.get("run", 0)}, ["data"],
+            ),
+            FolderStep("page", "Page", self.root / "page", page, {}, ["run"]),
         ]  # fmt: skip
         self.calls.clear()
         owned = WorkFolder(self.root, "steps.json", free=("done",))

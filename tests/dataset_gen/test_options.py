@@ -73,7 +73,7 @@ REFUSED = {
         r"--timesteps 1: shake, drift, flicker, readout, shutter and a codec need at least 2 timesteps",
     "mic --readout 40": r"--readout 40 is more than the 33.33 ms of a frame at --fps 30",
     "mic --shutter 40": r"--shutter 40 is more than the 33.33 ms of a frame at --fps 30",
-    "mic --shutter 9 --readout 12": r"--shutter 9 blurs whole pictures: not with --readout 12",
+    "mic --shutter 9 --readout 12": r"--shutter 9 blurs whole pictures, so it excludes --readout 12",
     "mic --noise picture --engine eevee": r"--noise picture needs --engine cycles: eevee has no seed",
     "mic --readout -1": r"--readout -1.0 is not in 0 … 1000 milliseconds",
     "mic --readout 12 --shake 1": r"--readout 12 is for cameras that stand still, not with --shake 1",

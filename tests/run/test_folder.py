@@ -20,8 +20,8 @@ from tg4mm.run.tensor_file import model_hash
 
 HOLD = """
 import sys, time
-from tg4mm.run.config import work_folder
-with work_folder(sys.argv[1]).held("trains it"):
+from tg4mm.run.folder import work_folder
+with work_folder(sys.argv[1]).locked("trains it"):
     print("held", flush=True)
     time.sleep(600)
 """

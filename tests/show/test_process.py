@@ -53,7 +53,7 @@ def test_a_video_becomes_numbers_pages_and_a_magnified_video(video, tmp_path, ca
     assert amplitude.startswith("amplitude  0.")
     assert amplitude.endswith(" px")
     assert where.startswith("where      pixel ")
-    assert missing.startswith("not found  a flat capture shows only motion across the line of sight")
+    assert missing.startswith("limits     a flat capture shows only motion across the line of sight")
     assert opens == f"open       {out / 'report.html'}"
     times = re.search(r"magnified.mp4: (\S+) times", said)[1]
     assert f"shown here {times} times larger" in (out / "report.html").read_text(encoding="utf-8")

@@ -9,8 +9,7 @@ import torch
 from tg4mm.capture import Capture
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.show.maps import blending_weights
-from tg4mm.show.slices import amplitude_spectrum, difference_maps, space_time_slice
+from tg4mm.show.maps import amplitude_spectrum, blending_weights, difference_maps, space_time_slice
 
 T, H, W, FPS, FREQ = 30, 12, 64, 30.0, 3.0
 ROW = 7

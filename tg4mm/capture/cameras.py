@@ -27,6 +27,7 @@ OTHER_LENSES = (
 )
 SMALLEST = 8  # pixels along a side of a picture: fewer have too little texture to resolve motion
 _PINHOLE = "the images of a pinhole camera: undistort them first"
+FAR = 64.0  # times what the cameras look at is away from them: beyond, float32 loses a thousandth of a pixel
 
 
 def check_picture_size(where: Any, width: int, height: int) -> None:
@@ -197,9 +198,6 @@ def relative_to(viewmats: np.ndarray, origin: np.ndarray) -> np.ndarray:
     moved = viewmats.copy()
     moved[:, :3, 3] = -np.einsum("cij,cj->ci", viewmats[:, :3, :3], centres - origin)
     return moved
-
-
-FAR = 64.0  # times what the cameras look at is away from them: beyond, float32 loses a thousandth of a pixel
 
 
 def far_origin(

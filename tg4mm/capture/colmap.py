@@ -32,6 +32,16 @@ MODELS = dict(enumerate([
 ]))  # fmt: skip
 COUNTS = dict(MODELS.values())
 T = TypeVar("T")
+LAYOUT = "a COLMAP folder (images/ and sparse/0/)"
+IMAGES, MASKS = "images", "masks"
+# where a model lies: COLMAP's mapper numbers its models, its undistorter does not
+FOLDERS = ("sparse/0", "sparse")
+# and in other programs' folders, in the order in which they are looked at
+_PLACES = ("sparse/*", "sparse", "sparse/*/*", "colmap/sparse/*", "colmap/sparse", "colmap", "")
+# Indices of the focal lengths and the principal point among the parameters; what follows bends the rays.
+_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+_TWO_FOCALS = ("PINHOLE", "OPENCV", "FULL_OPENCV")
+REMEDY = "undistort the images first (colmap image_undistorter, or tg4mm sfm on the photographs)"
 
 
 @dataclass(frozen=True)
@@ -198,20 +208,8 @@ _BINARY = (_cameras_bin, _images_bin, _points_bin)
 _TEXT = (_cameras, _images, _points)
 
 
-LAYOUT = "a COLMAP folder (images/ and sparse/0/)"
-IMAGES, MASKS = "images", "masks"
-# where a model lies: COLMAP's mapper numbers its models, its undistorter does not
-FOLDERS = ("sparse/0", "sparse")
-# and in other programs' folders, in the order in which they are looked at
-_PLACES = ("sparse/*", "sparse", "sparse/*/*", "colmap/sparse/*", "colmap/sparse", "colmap", "")
-# Indices of the focal lengths and the principal point among the parameters; what follows bends the rays.
-_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
-_TWO_FOCALS = ("PINHOLE", "OPENCV", "FULL_OPENCV")
-REMEDY = "undistort the images first (colmap image_undistorter, or tg4mm sfm on the photographs)"
-
-
 def recognises(root: Path) -> bool:
-    """Whether there is a folder images/ and a model in sparse/0/ or sparse/."""
+    """Return whether there is a folder images/ and a model in sparse/0/ or sparse/."""
     return (root / IMAGES).is_dir() and _model_folder(root) is not None
 
 
@@ -245,7 +243,7 @@ def views_of(root: Path) -> tuple[list[TransformsFrame], SurfacePoints | None]:
 
 
 def _model_folder(root: Path) -> Path | None:
-    """Where the model lies; of several, which COLMAP makes of pictures that do not join, the largest."""
+    """Return the model's folder; of several, which COLMAP makes if pictures do not connect, the largest."""
     found = (
         _numbered([f for f in (sorted(root.glob(p)) if p else [root]) if _images_file(f) is not None])
         for p in _PLACES

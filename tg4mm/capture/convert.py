@@ -136,7 +136,7 @@ def _owned(out: Path, layout: str, captures: Sequence[Capture]) -> Iterator[None
     """Hold OUT for this conversion. Raises CaptureError where it holds anything else, RunError while it is in use."""
     pictures = [f"{c.split} {p.relative_to(c.root).as_posix()}" for c in captures for p in c.paths]
     folder = WorkFolder(out, RECORD, CaptureError, others={"pictures": "of other pictures"})
-    with folder.held("writes a dataset there"):
+    with folder.locked("writes a dataset there"):
         asked = {"dataset": str(captures[0].root.resolve()), "layout": layout}
         folder.claim({"format": "tg4mm-conversion", "version": 1, **asked, "pictures": json_digest(pictures)})
         yield

@@ -4,7 +4,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from tg4mm.capture import colmap, nerf_synthetic, nerfstudio
+from tg4mm.capture import colmap, nerfstudio, transforms
 from tg4mm.capture.frames import IMAGE_SUFFIXES, inside
 from tg4mm.capture.model import Capture
 from tg4mm.capture.scene import SceneDescription, read_scene
@@ -18,7 +18,7 @@ def recognises(root: Path) -> bool:
     """Return whether there are numbered folders, or a scene.json without frames of its own beside it."""
     if _numbered(root):
         return True
-    single = any(reader.recognises(root) for reader in (nerf_synthetic, nerfstudio, colmap))
+    single = any(reader.recognises(root) for reader in (transforms, nerfstudio, colmap))
     return (root / "scene.json").is_file() and not single
 
 

@@ -173,20 +173,20 @@ def _kinds_of(kinds: str) -> list[tuple[str, int, int]]:
 
 
 def _is_of_keys(n: int, kinds: str) -> bool:
-    """Whether the codec's key frames follow each other at that distance, or at one that divides it."""
+    """Return whether the codec's key frames follow each other at that distance, or at one that divides it."""
     steps = np.diff([k for k, kind in enumerate(kinds) if kind == "I"])
     usual = int(np.median(steps)) if len(steps) else 0
     return usual > 1 and n % usual == 0
 
 
 def _has_gap(changes: np.ndarray, is_new: np.ndarray) -> bool:
-    """Whether duplicates change clearly less than nearly all new pictures, as near turning points none does."""
+    """Return whether duplicates change clearly less than nearly all new pictures, as near turning points none does."""
     new, changes = is_new[1:], changes[1:]
     return bool(np.quantile(changes[~new], 0.9) <= _GAP * np.quantile(changes[new], 0.1))
 
 
 def _stands_out(identical: np.ndarray, is_new: np.ndarray, places: Sequence[Hashable]) -> bool:
-    """Whether blocks that show noise or motion are identical in duplicates, and in new pictures of any kind are not."""
+    """Return whether blocks that show noise or motion are identical in duplicates only, not in new pictures."""
     if not identical.shape[1]:
         return False
     new, share = is_new[1:], identical[1:].mean(1)
@@ -200,9 +200,9 @@ def _stands_out(identical: np.ndarray, is_new: np.ndarray, places: Sequence[Hash
 
 
 def _stands_out_in_kind(share: np.ndarray, is_new: np.ndarray, places: Sequence[Hashable]) -> bool:
-    """Whether duplicates have more identical blocks than new pictures that the codec makes in the same way.
+    """Return whether duplicates have more identical blocks than new pictures that the codec makes in the same way.
 
-    Where it makes most of the duplicates otherwise than any new picture, they have to have many.
+    If it encodes most of the duplicates unlike any new picture, their share must be large.
     """
     rows: dict[Hashable, list[int]] = {}
     for k, place in enumerate(places):
@@ -221,7 +221,7 @@ def _stands_out_in_kind(share: np.ndarray, is_new: np.ndarray, places: Sequence[
 
 
 def _comes_back(pictures: np.ndarray, is_new: np.ndarray, after: Iterable[int]) -> bool:
-    """Whether pictures are like those so many frames before them, any of the numbers given."""
+    """Return whether pictures are like those so many frames before them, any of the numbers given."""
     new = np.flatnonzero(is_new)
 
     def differ(frames: int) -> float:

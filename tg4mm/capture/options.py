@@ -173,7 +173,7 @@ def sfm_config(options: RecordingConfig, length_file: Path | None) -> SfmConfig:
     values = {name: getattr(options, name) for name in names}
     if length_file is not None:
         if options.length is not None:
-            raise Tg4mmError("--length and --length-file exclude each other: both say how large the scene is")
+            raise Tg4mmError("--length and --length-file exclude each other: both give the scene's scale")
         from tg4mm.capture.sfm.scale import read_length
 
         values["length"] = read_length(length_file)

@@ -1,6 +1,7 @@
-"""A capture's pictures, held once in memory, or on disk and decoded when their turn comes; both are read by strips.
+"""A capture's pictures, in memory or decoded on demand from disk, both read by strips, and windows on them.
 
-Masks say which pixels count (white), and where a person says that motion may be.
+Masks say which pixels count (white), and where a person says that motion may be. A window is a
+part of the pictures, in which squares of pixels are averaged to one.
 
 From disk, what one camera saw is decoded when its turn comes and let go when another's does: T · H · W · 4 bytes, of
 which more than 256 MiB lie in a temporary file (`mapped_zeros`).
@@ -21,7 +22,6 @@ from PIL import Image, ImageDraw
 
 from tg4mm.capture.frames import each_picture, picture, picture_header
 from tg4mm.capture.model import Capture
-from tg4mm.capture.window import Window
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.core.pictures.decode import THREADS, decode
@@ -29,6 +29,8 @@ from tg4mm.core.progress import progress
 
 WHITE = (1.0, 1.0, 1.0)
 _SHOWN = 50_000_000  # pixels, which take some two seconds: reading more shows how far it is
+# Bytes of pictures at 8 bits: more stay on disk. 300 timesteps of 512² in 30 views are 9 GiB
+IN_MEMORY = 1 << 30
 
 
 @dataclass(frozen=True)
@@ -136,8 +138,6 @@ def _widened(image: np.ndarray, bits: int) -> np.ndarray:
     return image.astype(np.uint16) * 257 if bits == 16 and image.dtype == np.uint8 else image
 
 
-# Bytes of pictures at 8 bits: more stay on disk. 300 timesteps of 512² in 30 views are 9 GiB
-IN_MEMORY = 1 << 30
 Strips = Callable[[slice], np.ndarray]  # rows of the picture → [S, rows, W, 4], as stored
 
 
@@ -353,3 +353,92 @@ def _corners(text: str) -> list[tuple[float, float]] | None:
     if not pairs or any(len(p) != 2 or not np.isfinite(p).all() for p in pairs):
         return None
     return [(p[0], p[1]) for p in pairs]
+
+
+@dataclass(frozen=True)
+class Window:
+    """Rows and columns of a picture, whole numbers of squares of `factor` pixels."""
+
+    top: int
+    left: int
+    rows: int  # of the window's own pixels
+    columns: int
+    factor: int
+
+    @staticmethod
+    def on(
+        height: int, width: int, factor: int = 1, wanted: np.ndarray | None = None, margin: int = 0
+    ) -> Window:
+        """About the pixels `wanted` [H, W] bool, and `margin` pixels around them, or the whole picture.
+
+        What makes no whole square is cut off.
+        """
+        rows, columns = slice(0, height), slice(0, width)
+        if wanted is not None:
+            rows, columns = (_reach(wanted.any(axis), margin) for axis in (1, 0))
+        n_rows, n_columns = (max((s.stop - s.start) // factor, 1) for s in (rows, columns))
+        return Window(rows.start, columns.start, n_rows, n_columns, factor)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in its own pixels."""
+        return self.rows, self.columns
+
+    def K(self, K: np.ndarray) -> np.ndarray:
+        """[..., 3, 3]: intrinsics in its own pixels."""
+        out = K.copy()
+        out[..., :2, 2] -= np.array([self.left, self.top], K.dtype)
+        out[..., :2, :] /= self.factor
+        return out
+
+    def part(self, image: np.ndarray) -> np.ndarray:
+        """[rows · factor, columns · factor, …] of an image [H, W, …], as it is."""
+        height, width = self.rows * self.factor, self.columns * self.factor
+        return image[self.top : self.top + height, self.left : self.left + width]
+
+    def all_of(self, mask: np.ndarray) -> np.ndarray:
+        """[rows, columns] bool: where every pixel of a square is in the mask [H, W]."""
+        return self._squares(self.part(mask)).all((1, 3))
+
+    def any_of(self, mask: np.ndarray) -> np.ndarray:
+        """[rows, columns] bool: where a pixel of a square is in the mask [H, W]."""
+        return self._squares(self.part(mask)).any((1, 3))
+
+    def averaged(self, image: np.ndarray) -> np.ndarray:
+        """[rows, columns, 4] of a stored RGBA image [H, W, 4]; of squares of several pixels uint16, 65535 is 1.
+
+        Colours count by their alpha, as straight alpha has it.
+        """
+        part = self.part(image)
+        if self.factor == 1:
+            return part
+        scale = 257 if image.dtype == np.uint8 else 1
+        alpha = part[..., 3]
+        if alpha.min() == np.iinfo(image.dtype).max:
+            total = self._sum(part)
+            return ((total * scale + self.factor**2 // 2) // self.factor**2).astype(np.uint16)
+        coverage = self._sum(alpha[..., None]).astype(np.float64)
+        colour = self._sum(part[..., :3].astype(np.uint64) * alpha[..., None])
+        out = np.concatenate([colour / np.maximum(coverage, 1), coverage / self.factor**2], axis=-1)
+        return np.rint(out * scale).astype(np.uint16)
+
+    def _sum(self, part: np.ndarray) -> np.ndarray:
+        """[rows, columns, C] uint32 or uint64: sums over squares, first of rows, whose pixels lie together."""
+        kind, k = (np.uint64 if part.dtype == np.uint64 else np.uint32), self.factor
+        down: np.ndarray = part[::k].astype(kind)
+        for i in range(1, k):
+            down += part[i::k]
+        out = down[:, ::k].copy()
+        for j in range(1, k):
+            out += down[:, j::k]
+        return out
+
+    def _squares(self, part: np.ndarray) -> np.ndarray:
+        return part.reshape(self.rows, self.factor, self.columns, self.factor)
+
+
+def _reach(some: np.ndarray, margin: int) -> slice:
+    where = np.flatnonzero(some)
+    if not len(where):
+        return slice(0, len(some))
+    return slice(max(int(where[0]) - margin, 0), min(int(where[-1]) + 1 + margin, len(some)))

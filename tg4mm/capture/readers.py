@@ -8,7 +8,7 @@ from types import ModuleType
 
 import numpy as np
 
-from tg4mm.capture import colmap, dataset_tree, nerf_synthetic, nerfstudio, real_captures
+from tg4mm.capture import colmap, dataset_tree, nerfstudio, real_captures, transforms
 from tg4mm.capture.cameras import far_origin
 from tg4mm.capture.model import Capture
 from tg4mm.capture.transforms import SPLITS
@@ -17,7 +17,7 @@ from tg4mm.core.errors import CaptureError, MissingSplitError
 _LOG = logging.getLogger("tg4mm")
 _WARNED: set[Path] = set()  # datasets whose origin has been reported
 # the first that recognises a folder reads it
-READERS = (real_captures, dataset_tree, nerf_synthetic, nerfstudio, colmap)
+READERS = (real_captures, dataset_tree, transforms, nerfstudio, colmap)
 
 
 def load_capture(path: str | Path, split: str = "train", magnification: int | float | None = None) -> Capture:
@@ -66,7 +66,7 @@ def _origin(reader: ModuleType, capture: Capture) -> np.ndarray:
         _WARNED.add(capture.root)
         place = ", ".join(f"{x:.10g}" for x in origin)
         _LOG.warning(
-            f"{capture.root}: lies far from its origin: coordinates in results are relative to ({place}) on"
+            f"{capture.root}: lies far from its origin: coordinates in results are relative to ({place})"
         )
     return origin
 

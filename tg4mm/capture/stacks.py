@@ -78,7 +78,7 @@ def _pages(path: Path) -> int:
         ) from error
     if count < 2:
         raise CaptureError(
-            f"{path}: holds one picture; a recording is a TIFF of several, or a folder of pictures"
+            f"{path}: holds one picture; a recording is a TIFF of several pictures, or a folder of pictures"
         )
     return count
 

@@ -1,4 +1,7 @@
-"""Frames of a transforms JSON as views, and views assembled as a `Capture`."""
+"""Frames of a transforms JSON as views, views assembled as a `Capture`, and the reader of one NeRF-synthetic folder.
+
+D-NeRF's folders, whose frames have times, are read like a NeRF-synthetic one.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +29,13 @@ from tg4mm.core.values import shown
 
 if TYPE_CHECKING:
     from tg4mm.capture.sfm.undistort import Lens
+from tg4mm.capture.scene import read_scene
 
 T = TypeVar("T")
 SPLITS = ("train", "test", "val")
 UNEVEN = 0.1  # of a step, that a frame's time may be off its timestep
 _TYPICAL = 90  # percentile of the differences of times: that of a step, where cameras film together
+LAYOUT = "a NeRF-synthetic folder (transforms_train.json)"
 
 
 @dataclass(frozen=True)
@@ -284,3 +289,22 @@ def train_command(root: Path) -> str:
 def _is_timestep(folder: Path) -> bool:
     has_frames = any((folder / f"transforms_{split}.json").is_file() for split in SPLITS)
     return folder.name.isdecimal() and has_frames and (folder.parent / "scene.json").is_file()
+
+
+def recognises(root: Path) -> bool:
+    """Return whether the folder has a transforms_<split>.json."""
+    return any((root / f"transforms_{split}.json").is_file() for split in SPLITS)
+
+
+def load(root: Path, split: str, alpha: int) -> Capture:
+    """The folder's split as a capture; fps and scale are known only if a scene.json says them.
+
+    Of one timestep, or of as many as its frames have times (D-NeRF), unless it is itself a timestep of a dataset.
+    """
+    if alpha:
+        raise CaptureError(f"{root}: is one timestep, which has no images magnified by {alpha}")
+    views, scene = read_views(root, root, split, 0, may_miss=True), read_scene(root, needs_fps=False)
+    n_timesteps = 1
+    if whole_dataset(root) is None:
+        views, scene, n_timesteps = timed(views, scene)
+    return assemble(root, split, views, scene, n_timesteps)

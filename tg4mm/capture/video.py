@@ -273,7 +273,7 @@ def opened(path: Path) -> Any:
             container = av.open(file_url(path), container_options=options)
     except (av.FFmpegError, OSError, ValueError) as error:
         raise CaptureError(
-            f"{path}: is not a video that can be decoded, or it was cut off before its index; copy it from the camera "
+            f"{path}: is not a video that can be decoded, or its end, the index, is missing; copy it from the camera "
             "again"
         ) from error
     # A stream without codec context takes the whole process down when it is decoded.
@@ -304,7 +304,7 @@ def stream_of(container: Any) -> Any:
 
 
 def _filmed_at(path: Path, container: Any, rates: Sequence[Fraction]) -> float | None:
-    """What Android's camera writes: how many pictures a second it took, of slow motion that is stored slowed down."""
+    """Return the rate, Hz, at which Android's camera filmed slow motion that it stored slowed down; None if unknown."""
     try:
         rate = float(container.metadata.get("com.android.capture.fps", "nan"))
     except ValueError:
@@ -379,9 +379,9 @@ def _damaged(path: Path, time: Fraction, duration: float | None) -> CaptureError
 
 
 def has_cuts(path: Path) -> bool:
-    """Whether a video's edit list shows more than one stretch of it, or one at another speed than it was recorded at.
+    """Return whether a video's edit list shows several stretches of it, or one at another speed than the recorded one.
 
-    FFmpeg knows no speeds, and shows what lies between two stretches of slow motion twice.
+    FFmpeg ignores speeds, and shows frames between two stretches of slow motion twice.
     """
     if path.suffix.lower() not in _SUFFIXES:
         return False
@@ -425,7 +425,7 @@ def _boxes(file: BinaryIO, start: int, end: int) -> Iterator[tuple[bytes, int, i
 
 
 def _cuts(file: BinaryIO, start: int, end: int) -> bool:
-    """Whether an edit list does more than to say where the track begins."""
+    """Return whether an edit list does more than set the track's beginning."""
     file.seek(start)
     data = file.read(min(end - start, 8 + 20 * _MOST))
     if len(data) < 8:

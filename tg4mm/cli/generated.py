@@ -98,7 +98,7 @@ def _parameter(name: str, field: Any, spelling: Spelling) -> inspect.Parameter:
 
 
 def _metavar(kind: Any, spelling: Spelling) -> str | None:
-    """What stands for the value in --help: its unit, its choices, the type of one of several values; None: its type."""
+    """Return the placeholder of the value in --help: unit, choices, or the type of one of several; None: its type."""
     one = kind if get_origin(kind) is tuple else next(iter(get_args(kind)), kind)
     if spelling.unit or spelling.metavar:
         return spelling.unit.upper() or spelling.metavar
@@ -142,7 +142,7 @@ def joined_bands(words: Sequence[str]) -> list[str]:
 
 
 def _is_option(token: str) -> bool:
-    """Whether it is another option, not a value: a negative number is a value, if a bad one."""
+    """Return whether it is another option, not a value: a negative number is a value, if a bad one."""
     return token.startswith("-") and not token[1:2].isdigit() and token[1:2] != "."
 
 

@@ -15,10 +15,11 @@ from cyclopts import CycloptsError
 from tg4mm.capture.options import ConvertOptions, SfmOptions
 from tg4mm.cli import bench, recordings, results
 from tg4mm.cli.generated import application, command, joined_bands, message_of
-from tg4mm.core import __version__, events
+from tg4mm.core import __version__
 from tg4mm.core.errors import Tg4mmError, one_line, system_says
 from tg4mm.core.extras import EXTRA_OF, EXTRAS_OF_COMMAND, install
 from tg4mm.core.parent import end_with_parent
+from tg4mm.core.progress import print_any_text, say
 from tg4mm.research.options import DemoOptions, EvaluateOptions
 from tg4mm.run.options import LIST_SETTINGS, TrainOptions
 from tg4mm.show import options as show
@@ -63,7 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the program on `argv` (default: the command line) and return its exit code."""
     warnings.formatwarning = _warning_line  # a user gains nothing from the line of code that warns
     end_with_parent()  # a step of a benchmark
-    events.print_any_text()
+    print_any_text()
     _show_log()
     arguments = [_as_path(word) for word in (sys.argv[1:] if argv is None else argv)]
     try:
@@ -134,7 +135,7 @@ class _ToStderr(logging.Handler):
     """Lines of the log where progress is shown as well."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        events.say("warning" if record.levelno >= logging.WARNING else "note", self.format(record))
+        say("warning" if record.levelno >= logging.WARNING else "note", self.format(record))
 
 
 def _show_log() -> None:
@@ -149,5 +150,5 @@ def _warning_line(message: Warning | str, *_where: object, **_more: object) -> s
 
 
 def _fail(message: str) -> int:
-    events.say("error", message, "tg4mm: ")
+    say("error", message, "tg4mm: ")
     return BAD_INPUT

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tg4mm.capture.options import ConvertOptions, SfmOptions
     from tg4mm.research.options import DemoOptions
     from tg4mm.run.options import TrainOptions
-    from tg4mm.show.look import Words
+    from tg4mm.show.look import LookText
     from tg4mm.show.options import LookOptions, ProcessCommand
 
 
@@ -46,7 +46,7 @@ def look(options: LookOptions) -> None:
     from tg4mm.capture.look import look as looked
     from tg4mm.capture.look.rows import with_rows
     from tg4mm.capture.sfm.clip import TimeWindow
-    from tg4mm.show.look import Words
+    from tg4mm.show.look import LookText
 
     o, readout = options, options.readout or 0.0
     window = TimeWindow(o.start, math.inf if o.until is None else o.until)
@@ -57,7 +57,7 @@ def look(options: LookOptions) -> None:
             f"--readout is {readout:g}, expected at most the {frame_ms:.4g} ms of a frame of {o.video.name}"
         )
     rows = with_rows(found, readout / 1e3)
-    words = Words(rows, o.video, o.fps, window, drawn, o.regions, o.keep_duplicates)
+    words = LookText(rows, o.video, o.fps, window, drawn, o.regions, o.keep_duplicates)
     print("\n".join([*words.lines(), str(_write_look(words, options))]))
 
 
@@ -72,7 +72,9 @@ def _check_look(options: LookOptions) -> None:
     if not 0 <= start < (math.inf if until is None else until):
         raise Tg4mmError(f"--from {start:g}{'' if until is None else f' --until {until:g}'}: holds nothing")
     if options.video.is_dir() and (start or until is not None):
-        raise Tg4mmError("--from and --until are of videos; leave out files of the folder")
+        raise Tg4mmError(
+            "--from and --until apply to videos; for a folder, remove the pictures that you do not want"
+        )
     if options.out is not None and options.out.exists() and not options.out.is_dir():
         raise Tg4mmError(f"--out {options.out}: is a file; expected a folder")
     if options.readout:
@@ -90,7 +92,7 @@ def _check_upright(video: Path) -> None:
         )
 
 
-def _write_look(words: Words, options: LookOptions) -> Path:
+def _write_look(words: LookText, options: LookOptions) -> Path:
     """Write the picture, and with --out the page and the numbers; return the file to open."""
     from tg4mm.show.look import write_json_file, write_page, write_picture
 

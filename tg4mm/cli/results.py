@@ -101,7 +101,7 @@ def render(options: RenderOptions) -> None:
     given = _check_render(options)
     from tg4mm.core.splatfile.model import parsed_frequencies
     from tg4mm.fit.device import check_device
-    from tg4mm.run.splat_run import LOW_PASS_PX2, SplatRun, cameras_asked, open_run
+    from tg4mm.run.folder import LOW_PASS_PX2, SplatRun, cameras_asked, open_run
     from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_path, render_sequence
 
     o, device, video = options, options.device.value, options.video
@@ -170,7 +170,7 @@ def file_cameras(run: Run, path: Path) -> tuple[Camera, ...]:
     """Return the cameras of a file; a missing size is that of the dataset's pictures, or of the file's first one."""
     from tg4mm.capture import load_capture
     from tg4mm.capture.cameras import relative_to
-    from tg4mm.run.splat_run import SplatRun
+    from tg4mm.run.folder import SplatRun
     from tg4mm.show.render.cameras import cameras_from_file, size_of_first_picture
 
     if isinstance(run, SplatRun):
@@ -204,7 +204,7 @@ def measure(options: MeasureOptions) -> None:
     formats = parse_formats(o.formats)
     scene = (_video_scene if is_video(o.run) else _run_scene)(options, sensors)
     scale = None if o.regions is None else o.regions.scale
-    with work_folder(o.out).held("writes a measurement there"):
+    with work_folder(o.out).locked("writes a measurement there"):
         remove_leftovers(o.out)
         found = measured(scene(), sensors or None, o.reference, band=o.band, scale=scale)
         print(write_measurement(found, o.out, o.animate, formats), end="")
@@ -227,7 +227,7 @@ def _run_scene(options: MeasureOptions, sensors: list[Sensor]) -> Callable[[], P
 
     opened = Run.open(options.run)
     if (options.fps, options.readout) != (None, None):
-        raise Tg4mmError("--fps and --readout are of a video; a run has them from tg4mm sfm")
+        raise Tg4mmError("--fps and --readout apply to a video; for a run, tg4mm sfm sets them")
     size, cameras = (0, 0), list[str]()
     if options.regions is not None:
         capture = load_capture(opened.dataset, split="train")
@@ -261,12 +261,12 @@ def analyse(options: AnalyseCommand) -> None:
     if o.orders and o.speed is None and o.tacho is None:
         raise Tg4mmError("--order belongs to --speed or --tacho")
     from tg4mm.show.analyse.results import analyse as analysed
-    from tg4mm.show.analyse.write import format_analysis, work_folder, write_analysis
+    from tg4mm.show.analyse.results import format_analysis, work_folder, write_analysis
 
     folder = work_folder(o.out)
     folder.check()
     found = analysed(o.measured, options)
-    with folder.held("writes an analysis there"):
+    with folder.locked("writes an analysis there"):
         write_analysis(found, o.out)
     print(f"{format_analysis(found)}{o.out}")
 

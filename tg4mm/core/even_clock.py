@@ -16,7 +16,7 @@ _NEAR = 0.1  # of the last decimal
 
 
 def is_filled(times_s: np.ndarray) -> bool:
-    """Whether no gap between times [T], which increase, is too long."""
+    """Return whether no gap between times [T], which increase, is too long."""
     steps = np.diff(times_s)
     return bool(steps.max() <= LONGEST * np.median(steps))
 
@@ -68,7 +68,7 @@ def on_even_clock(times_s: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, 
 
 
 def is_even(times_s: np.ndarray) -> bool:
-    """Whether times [F] are evenly spaced, to a tenth of a frame; two always are."""
+    """Return whether times [F] are evenly spaced, to a tenth of a frame; two always are."""
     if len(times_s) < 3:
         return True
     step = float(np.ptp(times_s)) / (len(times_s) - 1)

@@ -212,7 +212,7 @@ class Magnification:
                 f"amplitude percentile is {self.amplitude_percentile:g}, expected 0 to below 100"
             )
         if self.suppressed and not self.bands:
-            raise Tg4mmError("other frequencies are suppressed where there are bands: give one")
+            raise Tg4mmError("other frequencies can be suppressed only with a band: give one")
         check_bands([b.band for b in self.bands], fps)
         return self
 

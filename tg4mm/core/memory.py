@@ -1,4 +1,4 @@
-"""Memory: arrays that need not fit into it, and the most that this process has held.
+"""Memory: arrays that need not fit into it, buffers that are used again, and the peak of this process.
 
 A large array lies in a temporary file of which few pages are held at a time. `release` lets go of the pages that were
 read or written, so that resident memory follows what is worked on. The file has no name in its folder and is gone with
@@ -17,6 +17,7 @@ from numpy.typing import DTypeLike
 
 IN_MEMORY = 1 << 28  # bytes of an array: more lies in a file
 _ON_DISK = Path("/var/tmp")
+_SPARE = 1.25  # a buffer that must grow gets so much more than is asked
 
 
 def peak_memory_mib() -> float:
@@ -94,3 +95,25 @@ def _folder() -> Path | None:
     if "TMPDIR" in os.environ or not (_ON_DISK.is_dir() and os.access(_ON_DISK, os.W_OK)):
         return None
     return _ON_DISK
+
+
+class Buffers:
+    """Arrays by name. One asked for again lies where the last of that name lay, whose contents it overwrites."""
+
+    def __init__(self) -> None:
+        self._held: dict[str, np.ndarray] = {}
+
+    def take(self, name: str, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> np.ndarray:
+        """An array [*shape] of undefined contents; the first 64 bytes of it start a cache line."""
+        kind = np.dtype(dtype)
+        size = int(np.prod(shape)) * kind.itemsize
+        held = self._held.get(name)
+        if held is None or len(held) < size:
+            held = self._held[name] = _aligned(int(size * _SPARE) if held is not None else size)
+        return held[:size].view(kind).reshape(shape)
+
+
+def _aligned(size: int) -> np.ndarray:
+    room = np.empty(size + 64, np.uint8)
+    skip = -room.ctypes.data % 64
+    return room[skip : skip + size]

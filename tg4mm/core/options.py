@@ -217,7 +217,7 @@ class MagnifyOptions:
         if self.filter is None:
             return None
         if not self.bands:
-            raise Tg4mmError(f"--filter {self.filter} goes with --band: without one nothing is filtered")
+            raise Tg4mmError(f"--filter {self.filter} needs --band: without a band nothing is filtered")
         from tg4mm.core.magnification import TemporalFilter
 
         return TemporalFilter(self.filter.value)

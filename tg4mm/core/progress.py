@@ -1,6 +1,18 @@
-"""Progress of a long job with the time left: a bar on a terminal, plain lines elsewhere, events where asked for."""
+"""Progress and messages of a running command: a bar on a terminal, plain lines elsewhere, or events.
+
+With TG4MM_EVENTS=json an event is one line of JSON on stderr, with the key `tg4mm` first; other lines are not meant for
+programs.
+
+    {"tg4mm": "progress", "label": "space stage", "done": 120, "total": 3000, "unit": "it", "elapsed_s": 5.2,
+     "left_s": 123.1, "figures": {"psnr_db": 22.1}}       left_s null: not known yet
+    {"tg4mm": "note", "message": "compiling kernels …"}   also "warning" and "error"
+    {"tg4mm": "complete", "path": "/data/mic_5Hz_0_005"}
+"""
 
 import importlib.util
+import io
+import json
+import os
 import sys
 import threading
 import time
@@ -10,16 +22,42 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Protocol, TextIO
 
-from tg4mm.core import events
+from tg4mm.core.errors import one_line
 
+VARIABLE = "TG4MM_EVENTS"
 PLAIN_FIRST_S = 2.0
 PLAIN_EVERY_S = 5.0
 EVENTS_EVERY_S = 0.5
 _PULSE_S = 1.0  # between looks whether a job that reports nothing is to be shown all the same
 _EARLY = 100  # a first report of less than this part of the job does not predict the time left
-
-
 _FEW_FIRST_S, _FEW_GROWTH = 10.0, 1.3  # seconds to the first of few lines, and by what the next takes longer
+
+
+def events_wanted() -> bool:
+    """Return whether events are requested."""
+    return os.environ.get(VARIABLE) == "json"
+
+
+def print_any_text() -> None:
+    """Print characters that stdout's encoding lacks as "?", such as α in a pipe on Windows."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
+
+
+def emit_event(event: str, stream: TextIO | None = None, **fields: Any) -> None:
+    """Write one event to `stream`, stderr by default. Figures that JSON cannot hold are written as text."""
+    stream = stream or sys.stderr
+    # A line in one call, in ASCII: lines of several threads do not mix, and any encoding takes it.
+    stream.write(json.dumps({"tg4mm": event, **fields}, default=str) + "\n")
+    stream.flush()
+
+
+def say(event: str, message: str, prefix: str = "", stream: TextIO | None = None) -> None:
+    """A note, warning or error: `prefix` and message for people, or the event."""
+    if events_wanted():
+        emit_event(event, stream, message=message)
+    else:
+        print(one_line(f"{prefix}{message}"), file=stream or sys.stderr)
 
 
 @dataclass
@@ -30,7 +68,7 @@ class _Few:
     every_s: float = _FEW_FIRST_S
 
     def take(self, now: float) -> bool:
-        """Whether a line may be shown now; then the next one is later by more."""
+        """Return whether a line may be shown now; if so, the wait for the next one grows."""
         if now < self.due:
             return False
         self.every_s *= _FEW_GROWTH
@@ -76,7 +114,7 @@ def progress(
     hardly any time, and is only heard of where it takes long.
     """
     stream = stream or sys.stderr
-    bar = stream.isatty() and not events.wanted() and importlib.util.find_spec("rich") is not None
+    bar = stream.isatty() and not events_wanted() and importlib.util.find_spec("rich") is not None
     brief = brief or (bar and _few.get() is not None)
     show = _bar if bar else _lines
     listener = _listener.get()
@@ -137,7 +175,7 @@ def _bar(label: str, total: int, unit: str, start: int, brief: bool, stream: Tex
 
 @contextmanager
 def _lines(label: str, total: int, unit: str, start: int, brief: bool, stream: TextIO) -> Iterator[Update]:
-    kind = EventProgress if events.wanted() else PlainProgress
+    kind = EventProgress if events_wanted() else PlainProgress
     state = kind(label, total, unit, start, stream, brief=brief)
     with _ticking(state):
         yield state.update
@@ -252,13 +290,13 @@ class HeardProgress(PlainProgress):
 
 
 class EventProgress(PlainProgress):
-    """Progress as events (`tg4mm.core.events`)."""
+    """Progress as events."""
 
     first_s = every_s = EVENTS_EVERY_S
     may_be_few = False
 
     def _show(self, elapsed_s: float, left_s: float | None) -> None:
-        events.emit(
+        emit_event(
             "progress", self._stream, label=self._label, done=self._done, total=self._total, unit=self._unit,
             elapsed_s=round(elapsed_s, 1), left_s=None if left_s is None else round(left_s, 1),
             figures=self._figures,

@@ -5,7 +5,7 @@ names; a kill loses only unfinished work. Needs only Python's standard library, 
 inside Blender's own Python, which lacks it, nothing is locked.
 
 `run_steps` fills such a folder step by step: finished steps are skipped, steps that depend on a changed one are
-repeated. `Checkpoint` saves a run's unfinished stage from time to time, with the seconds that it has taken.
+repeated. `StageCheckpoint` saves a run's unfinished stage from time to time, with the seconds that it has taken.
 """
 
 import json
@@ -38,13 +38,13 @@ class WorkFolder:
     record: str
     error: type[Tg4mmError] = RunError
     # a folder with matching files (glob patterns) but no record is not ours and is refused
-    strangers: str = "*"
+    foreign_files: str = "*"
     # messages for differing values that are too long, or not informative, to show; by their first name
     others: Mapping[str, str] = field(default_factory=dict)
     free: tuple[str, ...] = ()  # first names of values that a later request may change
 
     @contextmanager
-    def held(self, busy: str) -> Iterator[None]:
+    def locked(self, busy: str) -> Iterator[None]:
         """Hold the folder's lock, making the folder if there is none; the system takes it back however a process dies.
 
         At the end the lock's file is removed, and the folder if it is empty and was made here; with a Tg4mmError inside
@@ -85,7 +85,7 @@ class WorkFolder:
         if not self.path.is_dir() or self._file.exists():
             return
         # a kill before the record was renamed leaves its temporary file and the lock: still an empty folder
-        held = [p.name for p in self.path.glob(self.strangers) if p.name != LOCK and not is_temporary(p)]
+        held = [p.name for p in self.path.glob(self.foreign_files) if p.name != LOCK and not is_temporary(p)]
         if held and not self._file.exists():  # which another process may have written just now
             raise self.error(
                 f"{self.path} is not empty and holds no {self.record}, but {min(held)!r}: give another folder"
@@ -167,7 +167,7 @@ def _shown(values: Mapping[str, Any], key: str) -> str:
 
 
 @dataclass(frozen=True)
-class Step:
+class FolderStep:
     """A step: its outputs, inputs and action."""
 
     name: str
@@ -175,13 +175,13 @@ class Step:
     result: Path  # file or folder that is there once the step is done
     work: Callable[[], object]  # goes on by itself where a kill left it
     # JSON values that the result depends on; a function where the steps before it say which
-    asked: Mapping[str, Any] | Callable[[], Mapping[str, Any]] = field(default_factory=dict)
+    request: Mapping[str, Any] | Callable[[], Mapping[str, Any]] = field(default_factory=dict)
     after: Sequence[str] = ()  # names of the steps whose results it reads
     folder: Path | None = None  # holds the result; None: the result itself
     in_place: bool = False  # another request changes the result; else its folder is moved aside first
 
 
-def run_steps(folder: WorkFolder, record: Mapping[str, Any], steps: Sequence[Step], say: Say) -> None:
+def run_steps(folder: WorkFolder, record: Mapping[str, Any], steps: Sequence[FolderStep], say: Say) -> None:
     """Do what is left of `steps` in a folder that was claimed with `record`, whose entry `done` holds what is done.
 
     A step is done again where what it was asked for has changed, where its result is gone, and where a step that it
@@ -198,7 +198,7 @@ def run_steps(folder: WorkFolder, record: Mapping[str, Any], steps: Sequence[Ste
 
     for number, step in enumerate(steps, 1):
         label = f"[{number}/{len(steps)}] {step.title}"
-        asked = json.loads(json.dumps(step.asked() if callable(step.asked) else step.asked))
+        asked = json.loads(json.dumps(step.request() if callable(step.request) else step.request))
         entry = done.get(step.name)
         if entry and entry.get("asked") == asked and "seconds" in entry and step.result.exists():
             say(f"{label}: already done")
@@ -223,7 +223,7 @@ def clock(seconds: float) -> str:
     return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
 
 
-def _dependents(name: str, steps: Sequence[Step]) -> set[str]:
+def _dependents(name: str, steps: Sequence[FolderStep]) -> set[str]:
     """Names of the steps that read the result of `name`, or of one that does."""
     found = {name}
     for step in steps:  # in order, so that one pass is enough
@@ -261,7 +261,7 @@ class Store(Protocol):
         """Return the file of a part of the run."""
 
 
-class Checkpoint:
+class StageCheckpoint:
     """The checkpoint of one stage in a store; without a store nothing is saved, and a fit begins anew each time."""
 
     def __init__(self, store: Store | None = None, stage: str = "") -> None:

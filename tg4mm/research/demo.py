@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.work_folder import Step, WorkFolder, clock, run_steps
+from tg4mm.core.work_folder import FolderStep, WorkFolder, clock, run_steps
 
 STEPS_FILE = "demo.json"
 ALPHA = 20.0
@@ -17,7 +17,7 @@ Printer = Callable[[str], None]
 
 
 class Places:
-    """Where the demo keeps what, under one folder."""
+    """Paths of the demo's parts under one folder."""
 
     def __init__(self, root: Path) -> None:
         self.root, self.data, self.run = root, root / "data", root / "run"
@@ -53,7 +53,7 @@ def run_demo(out: Path, size: int = 128, full: bool = False, say: Printer = prin
     return places.report
 
 
-def demo_steps(places: Places, size: int, full: bool) -> list[Step]:
+def demo_steps(places: Places, size: int, full: bool) -> list[FolderStep]:
     """The steps in order; each calls what the command line calls."""
     parts: list[tuple[str, str, Path, Callable[[], object]]] = [
         (
@@ -76,7 +76,7 @@ def demo_steps(places: Places, size: int, full: bool) -> list[Step]:
     ]
     names = [name for name, *_ in parts]
     folders = {"train": places.run}
-    return [Step(*part, after=names[:i], folder=folders.get(part[0])) for i, part in enumerate(parts)]
+    return [FolderStep(*part, after=names[:i], folder=folders.get(part[0])) for i, part in enumerate(parts)]
 
 
 def _generate(places: Places, size: int, full: bool) -> None:

@@ -22,7 +22,7 @@ def run_generator(arguments: Sequence[str]) -> int:
     if importlib.util.find_spec("bpy") is None:
         raise Tg4mmError(f"generate needs the Python package bpy, which is not installed: {blender_remedy()}")
     if wrong := [text for text in arguments if "\0" in text]:
-        raise Tg4mmError(f"generate: {wrong[0]!r} holds a null character, which no file name can")
+        raise Tg4mmError(f"generate: {wrong[0]!r} holds a null character, which no file name may contain")
     status = run_child([sys.executable, "-m", "dataset_gen", *arguments])
     if status < 0:
         print(

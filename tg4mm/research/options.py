@@ -111,7 +111,7 @@ def _benchmark_alphas(text: str | None) -> tuple[float, ...] | None:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchOptions:
-    """What all parts of a benchmark have."""
+    """Options of all parts of a benchmark."""
 
     external: tuple[str, ...] = option(
         (),
@@ -152,7 +152,7 @@ class WholeBenchOptions(BenchOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class JobsOptions(BenchOptions):
-    """What the commands that run methods on datasets have."""
+    """Options of the commands that run methods on datasets."""
 
     out: Path = option(
         REQUIRED, "Folder for runs, figures, tables and pictures; an unfinished one is resumed."

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+NOTHING = "–"
+
 
 @dataclass(frozen=True)
 class TextTable:
@@ -41,9 +43,6 @@ def latex_table(table: TextTable, where: str = "") -> str:
         *(r"\bottomrule", r"\end{longtable}"),
     ]
     return "\n".join(lines) + "\n"
-
-
-NOTHING = "–"
 
 
 def shown(value: float | None, form: str) -> str:

@@ -1,4 +1,4 @@
-"""The run folder: what training was asked for, what it has made so far, and where it can go on after a kill.
+"""The run folder: the request of its training, the results so far, and checkpoints to resume from.
 
     RUN/config.json                 dataset, preset, every setting (the seed is one), versions
     RUN/space.safetensors           Gaussians at rest; written again where large motion made them sharper
@@ -11,11 +11,16 @@
 
 Every file is written under a temporary name and renamed. The safetensors files carry metadata
 {format, kind, version, config, digest}; complex tensors are stored as two real ones (`name#re`, `name#im`).
+A splat file is opened as a run without dataset, cameras and log (`SplatRun`).
 """
 
-from collections.abc import Collection, Mapping
+import os
+import platform
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cached_property
+from importlib import metadata
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -23,9 +28,12 @@ import torch
 from safetensors import safe_open
 from torch import Tensor
 
+from tg4mm.core import __version__
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import to_json, write_json
 from tg4mm.core.options import of_file
+from tg4mm.core.splatfile import SplatFile, read_splat
+from tg4mm.core.values import require
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.config import MotionConfig
@@ -40,18 +48,15 @@ from tg4mm.run.checks import (
     motion_of,
     tensors_of,
 )
-from tg4mm.run.config import (
-    VERSION,
-    dataset_folder,
-    new_config,
-    read_config,
-    request_of,
-    work_folder,
-)
 from tg4mm.run.log import checked_log, with_figures
 from tg4mm.run.tensor_file import DIGEST, read_tensors, write_tensors
 
 UNCERTAINTY = "uncertainty"  # a part: how uncertain the motion of every Gaussian is, docs/conventions.md
+FORMAT = "tg4mm"
+VERSION = 1
+_FORM = {"dataset": str, "dataset_from_run": str, "preset": str, "settings": dict, "versions": dict}
+_STAGES = ("space", "motion", "paper")
+LOW_PASS_PX2 = 0.3  # widening of drawn Gaussians in training, square pixels
 
 
 @dataclass(frozen=True)
@@ -298,3 +303,143 @@ class Run:
         kind, _, stage = name.partition("_")
         header = {"kind": kind, "version": VERSION, "config": self._identity(), **extra}
         write_tensors(self._file(name), tensors, header | ({"stage": stage} if stage else {}))
+
+
+def work_folder(path: Path | str) -> WorkFolder:
+    """Return the run folder `path` as the folder of a request."""
+    return WorkFolder(Path(path), "config.json")
+
+
+def new_config(path: Path, dataset: Path, preset: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the content of config.json for the run folder `path`; `dataset` absolute, `settings` JSON values."""
+    return {
+        "format": FORMAT,
+        "kind": "run",
+        "version": VERSION,
+        "dataset": str(dataset),
+        "dataset_from_run": _from_run(dataset, path.resolve()),
+        "preset": preset,
+        "settings": dict(settings),
+        "versions": _versions(),
+    }
+
+
+def _from_run(dataset: PurePath, path: PurePath) -> str:
+    """Return the path from a run to its dataset, with / on every system; the dataset itself if there is none."""
+    try:
+        return os.path.relpath(dataset, path).replace(os.sep, "/")
+    except ValueError:  # on Windows, for folders on different drives
+        return str(dataset)
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """Read config.json of the run folder `path`. Raises RunError if it is missing, truncated or foreign."""
+    folder = work_folder(path)
+    if (config := folder.read()) is None:
+        raise RunError(f"{path} is not a run folder: it has no config.json")
+    file = path / folder.record
+    found = config.get("format"), config.get("kind")
+    if found != (FORMAT, "run"):
+        raise RunError(f"{file} is not a tg4mm run: format {found[0]!r}, kind {found[1]!r}")
+    if config.get("version") != VERSION:
+        raise RunError(f"{file} has version {config.get('version')!r}; this program reads {VERSION}")
+    for key, rule in _FORM.items():
+        require(f"{file}: {key}", config.get(key), rule, RunError)
+    for stage in _STAGES:
+        require(f"{file}: settings of {stage}", config["settings"].get(stage, {}), dict, RunError)
+    return config
+
+
+def dataset_folder(path: Path, config: Mapping[str, Any]) -> Path:
+    """Return the dataset of a run: the recorded folder, or the same relative to the run if both were moved."""
+    absolute = Path(config["dataset"])
+    try:
+        beside = (path / config["dataset_from_run"]).resolve()
+        return beside if beside.exists() and not absolute.exists() else absolute
+    except (OSError, ValueError):  # a name too long for any folder, or with a null character
+        return absolute
+
+
+def request_of(path: Path, config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a run's request (dataset, preset, settings), as `WorkFolder.claim` compares it."""
+    return {"dataset": str(dataset_folder(path, config)), "preset": config["preset"], **config["settings"]}
+
+
+def _versions() -> dict[str, str]:
+    versions = {"tg4mm": __version__, "python": platform.python_version()}
+    for name in ("torch", "numpy", "numba"):
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+class SplatRun(Run):
+    """A run that is a splat file, without a dataset, cameras and log."""
+
+    _stated: tuple[tuple[float, ...], float] = ((), 30.0)  # frequencies and fps, Hz
+
+    @classmethod
+    def open(cls, path: Path | str, freqs_hz: Sequence[float] = (), fps: float = 30.0) -> "SplatRun":
+        """Read a splat file; `freqs_hz` and `fps` as in `read_splat`. Raises SplatFileError for another file."""
+        run = cls(Path(path), {"preset": "modal", "settings": {}, "dataset": None})
+        run._stated = (tuple(freqs_hz), fps)
+        _ = run.splat
+        return run
+
+    @cached_property
+    def splat(self) -> SplatFile:
+        """Return the splat file."""
+        return read_splat(self.path, *self._stated)
+
+    @property
+    def low_pass_px2(self) -> float:
+        """Return the low-pass still to add when drawing, square pixels, given what the file's scales include."""
+        return max(0.0, LOW_PASS_PX2 - (self.splat.low_pass_px2 or 0.0))
+
+    @property
+    def dataset(self) -> Path:
+        """No folder, since a splat file does not state its origin."""
+        return self.path
+
+    @property
+    def has_space(self) -> bool:
+        """A splat file is a scene at rest."""
+        return True
+
+    @property
+    def has_motion(self) -> bool:
+        """Return whether the file has modes."""
+        return self.splat.n_modes > 0
+
+    def load_space(self) -> Gaussians:
+        """Return the Gaussians at rest, float32 on the CPU."""
+        splat = self.splat
+        arrays = (splat.means, splat.quats, splat.scales, splat.opacities, splat.sh)
+        return Gaussians(*(torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in arrays))
+
+    def load_motion(self) -> ModalMotion | None:
+        """Return the modes, or None."""
+        splat = self.splat
+        if not splat.n_modes:
+            return None
+        return ModalMotion(splat.freqs_hz, splat.displacement, splat.rotation, splat.fps, splat.n_timesteps)
+
+
+def open_run(path: Path, freqs_hz: Sequence[float] = (), fps: float = 30.0) -> Run:
+    """Open a run folder or splat file. Raises RunError or SplatFileError."""
+    if path.is_file():
+        return SplatRun.open(path, freqs_hz, fps)
+    if freqs_hz:
+        raise RunError(
+            f"--frequencies is for a splat file with motion but without frequencies; {path} is not one"
+        )
+    return Run.open(path)
+
+
+def cameras_asked(run: Run, given: str | None) -> None:
+    """Raise RunError if a splat file should have cameras of a dataset; `given`: the option for them, if any."""
+    if isinstance(run, SplatRun):
+        asked = "" if given is None else f"{given}: "
+        raise RunError(f"{asked}{run.path} is a splat file, which has no cameras: give --cameras FILE")

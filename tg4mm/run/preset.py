@@ -129,7 +129,7 @@ def asked_masks(capture: Capture, configs: Mapping[str, Any]) -> tuple[np.ndarra
     if any(texts.values()) and len(fixed) != 1:
         named = next(name for name, text in texts.items() if text)
         raise CaptureError(
-            f"{named} is for the one fixed camera, and {capture.root} has {len(fixed)}: give a mask with each picture "
+            f"{named} applies to one fixed camera, but {capture.root} has {len(fixed)}: give a mask with each picture "
             "(docs/conventions.md)"
         )
     size = capture.width, capture.height
@@ -186,7 +186,7 @@ def method_of(run: Run, plan: Magnification) -> str:
         )
     if method != "phase" and plan.of_phase:
         raise Tg4mmError(
-            f"--{next(iter(plan.of_phase)).replace('_', '-')} is of the method phase, and this is {method}"
+            f"--{next(iter(plan.of_phase)).replace('_', '-')} is an option of the method phase; this is {method}"
         )
     return method
 

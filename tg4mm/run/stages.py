@@ -21,7 +21,7 @@ from tg4mm.core.choices import Clock
 from tg4mm.core.errors import RunError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.core.progress import progress
-from tg4mm.core.work_folder import Checkpoint
+from tg4mm.core.work_folder import StageCheckpoint
 from tg4mm.fit.device import gpu_figures, reset_gpu_peak
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Arrays, arrays_of, gaussians_of
@@ -61,7 +61,7 @@ def train_motion(
     a warning each. Raises CaptureError for too few pictures to show motion, RunError if none of them sees a Gaussian,
     Tg4mmError on settings out of range or if the device has too little memory.
     """
-    kept = Checkpoint(run, "motion")
+    kept = StageCheckpoint(run, "motion")
     reset_peak_memory()
     reset_gpu_peak(device)
     window = window_on(capture, config, moves)
@@ -112,7 +112,7 @@ def train_motion(
 class RunCheckpoint:
     """A `Checkpoint` in the run, and the Gaussians of its steps."""
 
-    def __init__(self, run: Run, kept: Checkpoint, readout_s: float = 0.0) -> None:
+    def __init__(self, run: Run, kept: StageCheckpoint, readout_s: float = 0.0) -> None:
         self._kept, self._readout_s = kept, readout_s
         self.gaussians = run.load_space()
         self._scene = _digest(arrays_of(self.gaussians))
@@ -170,7 +170,7 @@ def train_space(
     Returns the Gaussians (on the CPU). The run's log gets the figures of `SpaceFit`. Raises the errors of `fit_space`.
     """
     reset_peak_memory()
-    kept = Checkpoint(run, "space")
+    kept = StageCheckpoint(run, "space")
     fit = fit_space(views, points, config, device, kept)
     run.save_space(fit.gaussians, fit.figures)
     kept.drop()

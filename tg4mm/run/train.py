@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tg4mm.capture import Capture, load_capture, nerf_synthetic
+from tg4mm.capture import Capture, load_capture, transforms
 from tg4mm.capture.cameras import check_depth_observable, check_picture_size
 from tg4mm.capture.readers import READERS
 from tg4mm.capture.transforms import train_command, whole_dataset
@@ -16,7 +16,7 @@ from tg4mm.fit.device import check_device
 from tg4mm.fit.motion.config import asked_band
 from tg4mm.fit.motion.observations import check_band_resolved, check_shows_motion
 from tg4mm.run import Run
-from tg4mm.run.config import work_folder
+from tg4mm.run.folder import work_folder
 from tg4mm.run.preset import asked_masks, preset_named
 
 _LOG = logging.getLogger("tg4mm")
@@ -72,7 +72,7 @@ def train(
         check_shows_motion(capture)
         if (band := asked_band(getattr(configs["motion"], "band", ""), capture.fps)) is not None:
             check_band_resolved(band, capture.n_timesteps / capture.fps)
-    with work_folder(run_path).held("trains it"):
+    with work_folder(run_path).locked("trains it"):
         return _train(Path(run_path), capture, preset, configs, device)
 
 
@@ -83,7 +83,7 @@ def _capture(dataset: Path) -> Capture:
     """
     if (part := whole_dataset(dataset)) is not None:
         root, what = part
-        if dataset.resolve().parent != root or not nerf_synthetic.recognises(dataset):
+        if dataset.resolve().parent != root or not transforms.recognises(dataset):
             raise CaptureError(f"{dataset}: is no dataset, but {what}: {train_command(root)}")
         _LOG.warning(f"{dataset}: is {what}, by itself a still scene; with its motion: {train_command(root)}")
     if dataset.is_file() or (dataset.is_dir() and not any(reader.recognises(dataset) for reader in READERS)):

@@ -1,1 +1,1 @@
-"""What a person sees of a run: pictures, measurements, reports, viewers, exported files."""
+"""Output of a run for people: pictures, measurements, reports, viewers, exported files."""

@@ -229,7 +229,7 @@ class MeasureOptions:
 
 @dataclass(frozen=True)
 class AveragingOptions:
-    """How a record is cut into segments."""
+    """Options for the division of a record into segments."""
 
     window: str = option("hann", "Of averaged spectra, as scipy calls it.")
     segment_s: float | None = option(
@@ -303,7 +303,7 @@ class AnalyseCommand(AnalyseOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ReportOptions:
-    """What a report shows beyond the run itself."""
+    """Options for the content of a report beyond the run itself."""
 
     alpha: float | None = option(
         None,
@@ -383,7 +383,7 @@ class Format(StrEnum):
 
 
 class LowPass(StrEnum):
-    """What is in the scales of exported Gaussians."""
+    """Content of the scales of exported Gaussians."""
 
     baked = "baked"
     none = "none"
@@ -430,7 +430,7 @@ class ExportOptions(MagnifyOptions):
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether one file without motion is written."""
+        """Return whether one file without motion is written."""
         return self.format is Format.spz and self.out.suffix.lower() == ".spz"
 
 

@@ -19,13 +19,12 @@ from tg4mm.core.magnification import Magnification, check_band
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import few_lines
 from tg4mm.core.untrusted import read_json
-from tg4mm.core.work_folder import Say, Step, WorkFolder, run_steps
+from tg4mm.core.work_folder import FolderStep, Say, WorkFolder, run_steps
 from tg4mm.fit.motion.observations import check_band_resolved, frames_of
 from tg4mm.run import Run
 from tg4mm.run.train import train
 from tg4mm.show.analyse.channel import AnalyseError
-from tg4mm.show.analyse.results import analyse
-from tg4mm.show.analyse.write import write_analysis
+from tg4mm.show.analyse.results import analyse, write_analysis
 from tg4mm.show.measure import Measurement, Sensor, measure, prepare
 from tg4mm.show.measure.locate import check_pixel, check_sensors
 from tg4mm.show.measure.plots import PLOTS
@@ -120,7 +119,7 @@ def result_lines(result: Result, out: Path, opens: str) -> list[str]:
         floor = "" if result.noise_px is None else f"less than about {result.noise_px:.2g} px"
         lines = [("frequency", nothing), ("amplitude", floor or "none"), ("where", "nowhere")]
     rest = f" (and {len(result.cannot) - 1} more in the report)" if len(result.cannot) > 1 else ""
-    lines += [("not found", f"{result.cannot[0]}{rest}" if result.cannot else "nothing that is known of")]
+    lines += [("limits", f"{result.cannot[0]}{rest}" if result.cannot else "none known")]
     return [*(f"{name:<11}{text}" for name, text in lines), f"{'open':<11}{out / opens}"]
 
 
@@ -132,9 +131,9 @@ def _size(v: Vibration, result: Result) -> str:
 
 
 def _where(v: Vibration) -> str:
-    if v.place_px is not None:
-        return f"pixel {v.place_px[0]:.0f}, {v.place_px[1]:.0f}"
-    return f"({', '.join(f'{c:.3g}' for c in v.place)})"
+    if v.position_px is not None:
+        return f"pixel {v.position_px[0]:.0f}, {v.position_px[1]:.0f}"
+    return f"({', '.join(f'{c:.3g}' for c in v.position)})"
 
 
 def process(source: Path, out: Path, options: ProcessOptions | None = None, say: Say = print) -> Path:
@@ -155,7 +154,7 @@ def process(source: Path, out: Path, options: ProcessOptions | None = None, say:
     pictures = files_of(sources)
     record = {"format": "tg4mm-process", "version": 1, "source": str(source.resolve())}
     folder = WorkFolder(out, RECORD, free=("done",))
-    with folder.held("processes into it"):
+    with folder.locked("processes into it"):
         folder.claim(record, {**record, "done": {}})
         say(estimate_line(sources, options.sfm))
         with few_lines():
@@ -168,7 +167,7 @@ def process(source: Path, out: Path, options: ProcessOptions | None = None, say:
     return out
 
 
-def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say: Say) -> list[Step]:
+def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say: Say) -> list[FolderStep]:
     dataset, run, settings = out / "dataset", out / "run", options.sfm.settings()
     name = source.resolve().stem if source.is_file() else source.resolve().name
     scale = {key: settings.pop(key) for key in SCENE_ONLY}
@@ -214,22 +213,22 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
         return write_report(Run.open(run), out / "report.html", chosen)
 
     steps = [
-        Step("dataset", "Poses and times", dataset / "scene.json", make, {"pictures": pictures, **settings},
+        FolderStep("dataset", "Poses and times", dataset / "scene.json", make, {"pictures": pictures, **settings},
              folder=dataset),
-        Step("scale", "Scale and rate", dataset / "scene.json", make, scale, ["dataset"], in_place=True),
-        Step("run", "The scene at rest and its motion", run / "space.safetensors", fit,
+        FolderStep("scale", "Scale and rate", dataset / "scene.json", make, scale, ["dataset"], in_place=True),
+        FolderStep("run", "The scene at rest and its motion", run / "space.safetensors", fit,
              lambda: {"settings": with_band(), "device": options.device, **clock}, ["dataset"], run),
-        Step("measured", "Measure", out / "measured",
+        FolderStep("measured", "Measure", out / "measured",
              lambda: made.extend(_measure(run, out / "measured", options, say)),
              lambda: {"sensors": sensors, "quick": options.quick, **banded(), **all_files}, ["scale", "run"]),
-        Step("magnified", "The magnified video", out / "magnified", lambda: _magnify(run, out, options, say),
+        FolderStep("magnified", "The magnified video", out / "magnified", lambda: _magnify(run, out, options, say),
              {**magnified, **all_files}, ["run", "measured"] if options.only else ["run"],
              in_place=not options.all_files),
     ]  # fmt: skip
     pages = [
-        Step("report", "The report", out / "report.html", reported, {**magnified, "sensors": sensors},
+        FolderStep("report", "The report", out / "report.html", reported, {**magnified, "sensors": sensors},
              ["scale", "run"]),
-        Step("page", "The page to send", out / "page.html",
+        FolderStep("page", "The page to send", out / "page.html",
              lambda: export_html(Run.open(run), out / "page.html", largest, _if_there(out / "measured" / REGIONS)),
              all_files, ["scale", "run", "measured"]),
     ]  # fmt: skip
@@ -291,7 +290,7 @@ def _measure(path: Path, out: Path, options: ProcessOptions, say: Say) -> list[M
     sensors = _sensors(run.dataset, options)
     check_sensors(run, sensors)
     scale = None if options.regions is None else options.regions.scale
-    with measured_folder(out).held("writes a measurement there"):
+    with measured_folder(out).locked("writes a measurement there"):
         found = measure(prepare(run), sensors or None, band=options.band, scale=scale)
         plots = PLOTS if options.all_files else PLOTS[:1]
         write_measurement(found, out, animate=not options.quick, plots=plots)

@@ -82,13 +82,13 @@ def test_progress_is_what_the_programs_print(jobs, emitted):
 def test_what_the_programs_say_is_read(jobs, emitted):
     from dataset_gen.__main__ import main as generator
     from tg4mm.cli import main
-    from tg4mm.core import events
+    from tg4mm.core.progress import emit_event, say
 
     assert main(["convert", "/no/ä", "--out", "/no/run"]) == 2  # needs nothing that Blender's Python lacks
     assert generator(["mic", "--size", "-1", "--out", "/no/out"]) == 2
-    events.say("warning", "floor far wider", "warning: ")
-    events.say("note", "compiling kernels")
-    events.emit("complete", path="/data/a b/ü_5Hz")
+    say("warning", "floor far wider", "warning: ")
+    say("note", "compiling kernels")
+    emit_event("complete", path="/data/a b/ü_5Hz")
     core, made, warning, note, complete = (jobs.runner.read_line(line) for line in emitted())
     assert core.error == "/no/ä: does not exist"
     assert "--size" in made.error
@@ -98,9 +98,9 @@ def test_what_the_programs_say_is_read(jobs, emitted):
 
 
 def test_chain_of_programs_runs_to_its_end(jobs, step):
-    first = step("import time\nfrom tg4mm.core import events\nfor i in range(3):\n"
-                 "    events.emit('progress', label='one', done=i, total=3)\n    time.sleep(0.05)\n"
-                 "events.say('warning', 'floor far wider')\nevents.emit('complete', path='/data/a b/mic')")  # fmt: skip
+    first = step("import time\nfrom tg4mm.core.progress import emit_event, say\nfor i in range(3):\n"
+                 "    emit_event('progress', label='one', done=i, total=3)\n    time.sleep(0.05)\n"
+                 "say('warning', 'floor far wider')\nemit_event('complete', path='/data/a b/mic')")  # fmt: skip
     second = step(f"print({event('progress', label='two', done=7, total=9)!r})", "second")
     job = jobs.runner.Job([first, second], environment(jobs))
     seen = run(job)
@@ -115,7 +115,7 @@ def test_chain_of_programs_runs_to_its_end(jobs, step):
     ("code", "message"),
     [
         (
-            "import tg4mm.core.events as e; print('x'); e.say('error', 'no /ä'); print('y'); raise SystemExit(2)",
+            "import tg4mm.core.progress as e; print('x'); e.say('error', 'no /ä'); print('y'); raise SystemExit(2)",
             "no /ä",
         ),
         ("raise RuntimeError('kaputt')", "ended with status 1: RuntimeError: kaputt"),
@@ -146,7 +146,8 @@ def test_flood_of_lines_does_not_hold_up_a_poll(jobs, step, monkeypatch):
 
 def test_poll_returns_at_once_while_a_program_hangs_and_cancel_ends_it(jobs, step):
     code = (
-        "import time\nfrom tg4mm.core import events\nevents.emit('progress', label='ready', done=1, total=2)\n"
+        "import time\nfrom tg4mm.core.progress import emit_event\n"
+        "emit_event('progress', label='ready', done=1, total=2)\n"
         "try:\n    time.sleep(99)\nexcept KeyboardInterrupt:\n    raise SystemExit(130)"
     )
     job = jobs.runner.Job([step(code), step("print('never')")], environment(jobs))
@@ -167,8 +168,8 @@ import os, signal, subprocess, sys, time
 for number in (signal.SIGINT, signal.SIGTERM):
     signal.signal(number, signal.SIG_IGN)
 child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(99)"])
-from tg4mm.core import events
-events.emit("progress", label="pids", done=os.getpid(), total=child.pid)
+from tg4mm.core.progress import emit_event
+emit_event("progress", label="pids", done=os.getpid(), total=child.pid)
 time.sleep(99)
 """
 

@@ -14,21 +14,21 @@ KIND = "train"
 STUB = """#!{python}
 import os, shutil, sys, time
 from pathlib import Path
-from tg4mm.core import events
+from tg4mm.core.progress import emit_event, say
 here = Path(__file__).parent
 with open(here / "asked.txt", "a") as file:
     print(*sys.argv[1:], file=file)
 _, module, command, *rest = sys.argv[1:]
 out = Path(rest[rest.index("--out") + 1])
 if (here / "fails").read_text() == command:
-    events.say("error", "no luck with größe")
+    say("error", "no luck with größe")
     sys.exit(2)
 if command == "look":
     print("5.00 ± 0.01 Hz   0.2 px")
 elif command in ("train", "process"):
     for label, total in (("space stage", 4), ("motion stage", 2)):
         for done in range(1, total + 1):
-            events.emit("progress", label=label, done=done, total=total, left_s=2.0)
+            emit_event("progress", label=label, done=done, total=total, left_s=2.0)
             time.sleep(0.1)
     while (here / "fails").read_text() == "hang":
         time.sleep(0.05)
@@ -114,7 +114,7 @@ def test_a_generated_dataset_is_trained_on_request(extension, core, tmp_path):
     """By a stand-in for the generator, whose end is all that counts."""
     generating, training, scene = extension.jobs.generating, extension.jobs.training, bpy.context.scene
     dataset = scene.tg4mm_train.dataset
-    code = f"from tg4mm.core import events; events.emit('complete', path={dataset!r})"
+    code = f"from tg4mm.core.progress import emit_event; emit_event('complete', path={dataset!r})"
     step = extension.jobs.runner.JobStep("render", (sys.executable, "-c", code))
 
     def generated():

@@ -125,7 +125,9 @@ def test_a_baseline_gives_the_scale_later(dataset, photographs, tmp_path):
     capture = load_capture(out)
     centres, _ = optical_axes(capture.viewmats)
     assert capture.unit_scale_m == pytest.approx(2.0 / np.linalg.norm(centres[0] - centres[3]))
-    with pytest.raises(Tg4mmError, match="--baseline names p_99, which is no placed camera; there are p_0"):
+    with pytest.raises(
+        Tg4mmError, match="--baseline names p_99, which is not a placed camera; there are p_0"
+    ):
         reconstruct(photographs, out, SfmConfig(baseline=("p_0", "p_99", 2.0)), threads=1)
 
 
@@ -237,5 +239,5 @@ def test_a_test_split_is_held_out(dataset, photographs, tmp_path):
 def test_two_processes_do_not_make_one_dataset(photographs, tmp_path):
     sources = find_sources(photographs)
     work = open_request(tmp_path / "out", sources, SfmConfig().settings())
-    with work.owned.held("busy"), pytest.raises(RunError, match="in use: another process makes this"):
+    with work.owned.locked("busy"), pytest.raises(RunError, match="in use: another process makes this"):
         reconstruct(photographs, tmp_path / "out", SfmConfig(), threads=1)

@@ -10,7 +10,7 @@ import pytest
 
 from tests.capture.sfm.scenes import orbit
 from tg4mm.capture.sfm.config import SfmConfig, checked
-from tg4mm.capture.sfm.points import Similarity
+from tg4mm.capture.sfm.place import Similarity
 from tg4mm.capture.sfm.scale import CLICK_PX, KnownLength, measured_length, read_length, triangulated
 from tg4mm.capture.sfm.staging import StagedPicture
 from tg4mm.core.errors import Tg4mmError
@@ -136,14 +136,17 @@ def test_places_are_those_of_the_picture_set_upright(scene):
 @pytest.mark.parametrize(
     ("first", "match"),
     [
-        (lambda s: (("042", 1.0, 1.0),), r"--length names 042, which is no picture; there are 001\.jpg, 002"),
+        (
+            lambda s: (("042", 1.0, 1.0),),
+            r"--length names 042, which is not a picture; there are 001\.jpg, 002",
+        ),
         (lambda s: (("lost.jpg", 1.0, 1.0),), r"--length: lost\.jpg could not be placed"),
         (lambda s: (("001", 700.0, 20.0),), "001 is 640×480 pixels, 700, 20 lies outside"),
         (
             lambda s: (s.at("001", ENDS[0]), s.at("004", ENDS[0] + [0, 0, 0.4])),
             "001, 004 do not show the same",
         ),
-        (lambda s: (s.at("001", ENDS[0]),) * 2, r"001, 001 see the point from directions 0\.00° apart"),
+        (lambda s: (s.at("001", ENDS[0]),) * 2, r"001, 001 see the point in directions 0\.00° apart"),
         (lambda s: (s.at("001", ENDS[1]), s.at("004", ENDS[1])), "both ends are the same point"),
     ],
 )

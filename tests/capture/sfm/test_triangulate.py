@@ -11,7 +11,8 @@ from tg4mm.capture.cameras import optical_axes
 from tg4mm.capture.sfm import engine, mapping, reconstruct, triangulate_views
 from tg4mm.capture.sfm.config import SfmConfig
 from tg4mm.capture.sfm.engine import most_alike
-from tg4mm.capture.sfm.points import DISTANCE, Similarity, outside_masks, up_axis, world_of
+from tg4mm.capture.sfm.place import DISTANCE, Similarity, up_axis, world_of
+from tg4mm.capture.sfm.triangulate import outside_masks
 from tg4mm.fit.space import initial
 from tg4mm.fit.space.initial import initial_points
 

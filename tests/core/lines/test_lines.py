@@ -140,14 +140,14 @@ def test_components_share_the_frequency_and_keep_their_own_phasors_in_correlated
 def test_pictures_that_lose_small_motion_do_not_count():
     """Three of four keep a share of a ring-down that falls with its size: a false decay and a line at rate/2 − f."""
     t, rng = np.arange(300) / 60, np.random.default_rng(8)
-    between = np.arange(300) % 4 != 0
+    b_frames = np.arange(300) % 4 != 0
     true = 0.22 * ring(t, 9.1, 0.02)
-    kept = np.where(between, 1 - 0.5 * np.exp(-np.exp(-1.14 * t) * 4) - 0.08 * (np.arange(300) % 4 == 2), 1)
+    kept = np.where(b_frames, 1 - 0.5 * np.exp(-np.exp(-1.14 * t) * 4) - 0.08 * (np.arange(300) % 4 == 2), 1)
     values = true * kept + 0.003 * rng.normal(size=300)
     fooled = find_lines(values, t).lines
     # by all pictures wrong by 0.0020 to 0.0027 in twelve draws, which its ± may miss: 1.8 to 12 deviations
     assert fooled[0].damping - 0.02 > 0.0015
-    (line,) = find_lines(values, t, between=between).lines
+    (line,) = find_lines(values, t, b_frames=b_frames).lines
     assert abs(line.damping - 0.02) < 3 * line.damping_deviation < 0.003
     assert abs(line.hz - 9.1) < 3 * line.hz_deviation
 
@@ -155,11 +155,11 @@ def test_pictures_that_lose_small_motion_do_not_count():
 def test_a_loss_too_small_to_be_seen_makes_no_amplitude_wrong():
     """Three of four pictures keep 0.9 to 1 of a tone: by all, one amplitude in twenty lies within 2 deviations."""
     t, rng = np.arange(200) / 30, np.random.default_rng(9)
-    between, errors = np.arange(200) % 4 != 0, []
+    b_frames, errors = np.arange(200) % 4 != 0, []
     for _ in range(60):
-        hz, kept = rng.choice([1.2, 2.6, 5.5, 9.1, 12.9]), np.where(between, rng.uniform(0.9, 1), 1)
+        hz, kept = rng.choice([1.2, 2.6, 5.5, 9.1, 12.9]), np.where(b_frames, rng.uniform(0.9, 1), 1)
         values = kept * np.cos(2 * np.pi * hz * t + rng.uniform(0, 6)) + 0.08 * rng.normal(size=200)
-        line = max(find_lines(values, t, between=between).lines, key=lambda own: own.strength)
+        line = max(find_lines(values, t, b_frames=b_frames).lines, key=lambda own: own.strength)
         errors.append((line.amplitude[0] - 1) / line.amplitude_deviation[0])
     assert np.mean(np.abs(errors) < 2) > 0.85
     assert 0.5 < np.mean(np.abs(errors) < 1) < 0.85
@@ -169,7 +169,7 @@ def test_a_tone_that_the_other_pictures_cannot_tell_from_its_mirror_image_is_tha
     t, rng = np.arange(200) / 30, np.random.default_rng(9)
     # a quarter of the rate has 3.75 half way
     values = np.cos(2 * np.pi * 3.72 * t) + 0.1 * rng.normal(size=200)
-    assert find_lines(values, t, between=np.arange(200) % 4 != 0).lines[0].hz == one(values, t).hz
+    assert find_lines(values, t, b_frames=np.arange(200) % 4 != 0).lines[0].hz == one(values, t).hz
 
 
 def test_frequencies_lie_between_the_ends_and_known_ones_are_refined():
@@ -236,7 +236,7 @@ def test_a_line_of_varying_strength_is_found_between_b_frames(hz, every):
         t, rng = np.arange(300) / 30, np.random.default_rng(seed)
         strength = 1 + 0.4 * np.cos(2 * np.pi * 0.23 * t + seed)
         values = 0.24 * strength * np.cos(2 * np.pi * hz * t + 0.4) + rng.normal(0, 0.02, 300)
-        (line,) = find_lines(values, t, between=np.arange(300) % every != 0).lines
+        (line,) = find_lines(values, t, b_frames=np.arange(300) % every != 0).lines
         assert line.hz == pytest.approx(hz, abs=5 * line.hz_deviation + 0.002)
 
 

@@ -22,6 +22,7 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import Magnification
+from tg4mm.core.memory import Buffers
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.animate import animate
@@ -39,7 +40,6 @@ from tg4mm.fit.motion.observations import fixed_cameras
 from tg4mm.fit.motion.prior import build_graph
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
-from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.run import Run
 from tg4mm.run.preset import poses_of
 from tg4mm.run.stages import train_motion

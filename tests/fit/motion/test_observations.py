@@ -15,7 +15,7 @@ from tests.fit.motion.scenes import inner, problem, two_cameras, weights_of
 from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import moving_pictures
 from tg4mm.capture import ImageStack
-from tg4mm.capture.window import Window
+from tg4mm.capture.pictures import Window
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.even_clock import delayed, later
 from tg4mm.fit.motion.config import MotionConfig, checked

@@ -13,8 +13,8 @@ from tests.helpers.space_train import psnr_of_test_views
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import SpaceConfig
 from tg4mm.fit.space import train as stage
-from tg4mm.fit.space.checkpoint import pictures_digest
 from tg4mm.fit.space.targets import SceneUnit
+from tg4mm.fit.space.train import pictures_digest
 from tg4mm.fit.space.view import _render_cuda, render_view
 from tg4mm.run.stages import train_space
 

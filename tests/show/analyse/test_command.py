@@ -68,7 +68,7 @@ def test_a_hammer_beside_the_film(tmp_path, capsys):
     words = ["analyse", str(film), "--out", str(tmp_path / "out"), "--with", str(hammer), "--input", "force"]
     words += ["--window", "boxcar", "--segment", "6", "--modes", "--band", "3", "18"]
     assert main(words) == 2
-    assert "force, which does not show the lag: name an accelerometer" in capsys.readouterr().err
+    assert "force, which cannot determine the lag: name an accelerometer" in capsys.readouterr().err
     assert main([*words, "--sync", "acc"]) == 0
     found = json.loads((tmp_path / "out" / "analysis.json").read_text())
     (transfer,) = found["transfers"]

@@ -194,7 +194,7 @@ def test_a_table_without_a_head_is_taken_by_its_first_column_and_it_is_said(tmp_
     assert "its first column, which rises evenly, is taken as times" in caplog.text
     assert (channel.name, channel.rate) == ("column 2", pytest.approx(RATE))
     path.write_text("\n".join(f"{k} {v}" for k, v in enumerate(VALUES)))
-    with pytest.raises(AnalyseError, match="neither a head nor times"):
+    with pytest.raises(AnalyseError, match="neither a header nor times"):
         read_channels(path)
 
 

@@ -134,6 +134,6 @@ def test_scales_as_trained_can_be_asked_for_in_every_format(run, tmp_path):
 def test_without_the_dataset_scales_stay_as_trained_and_the_program_says_so(run, tmp_path, caplog):
     (tmp_path / "data").rename(tmp_path / "elsewhere")
     splat = read_splat(export_ply(run, tmp_path / "a.ply"))
-    assert f"{tmp_path / 'data'}, the dataset, is gone: scales are written as trained" in caplog.text
+    assert f"{tmp_path / 'data'}, the dataset, is missing: scales are written as trained" in caplog.text
     np.testing.assert_allclose(splat.scales, run.load_space().scales, rtol=1e-5)
     assert splat.low_pass_px2 is None

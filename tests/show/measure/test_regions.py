@@ -93,5 +93,5 @@ def test_a_scale_in_space_takes_its_depth_from_the_model(tmp_path):
     metres = float(np.linalg.norm(means[seen[a]] - means[seen[b]])) * (own or 0.1)
     found = measure(scene, [parse_sensor("all")], scale=Scale(((tuple(at[a]), tuple(at[b]), metres),)))
     assert found.unit_scale_m == pytest.approx(own or 0.1, rel=0.1)
-    with pytest.raises(MeasureError, match="a rectangle scales flat captures"):
+    with pytest.raises(MeasureError, match="a rectangle gives the scale of flat captures only"):
         measure(scene, [parse_sensor("all")], scale=Scale((), CORNERS, (0.3, 0.2)))

@@ -35,7 +35,7 @@ def test_an_option_is_a_sensor_and_its_text_is_the_option_again(text, sensor):
         ("tip=box:1,0,0,0,1,1", "first corner must be the lower one"),
         ("../tip=all", "sensor name '../tip'"),
         ("tip=pixel:", "expected pixel:CAMERA,X,Y"),
-        ("tip=cluster:1.5", "no number of a cluster"),
+        ("tip=cluster:1.5", "not the number of a cluster"),
         ("", "is no region"),
     ],
 )

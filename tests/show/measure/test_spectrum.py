@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
-from tg4mm.show.measure.derivatives import derivatives_of, deviations_of
-from tg4mm.show.measure.orbit import orbit_in, orbit_of
-from tg4mm.show.measure.spectrum import CHANCE, Harmonic, harmonics_of, spectrum_of, with_band
+from tg4mm.show.measure.series import derivatives_of, deviations_of
+from tg4mm.show.measure.spectrum import (
+    CHANCE,
+    Harmonic,
+    harmonics_of,
+    orbit_in,
+    orbit_of,
+    spectrum_of,
+    with_band,
+)
 
 TIMES = np.arange(60) / 30.0
 
@@ -166,7 +173,7 @@ def test_a_band_that_is_given_has_a_peak_though_one_period_makes_none():
     found = spectrum_of(TIMES, values, sigma)
     assert found.peaks == ()
     (asked,) = with_band(found, (0.4, 0.6), TIMES, values, sigma, share).peaks
-    assert asked.asked.band == (0.4, 0.6)
+    assert asked.requested.band == (0.4, 0.6)
     assert asked.amplitude == pytest.approx([1, 0, 0.5], abs=2 * asked.deviation.max())
     assert 0.1 < asked.deviation[0] < 0.5
     fast = spectrum_of(TIMES, *noisy(sinusoid(7.7), 0.05, 1))

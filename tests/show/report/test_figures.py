@@ -7,7 +7,7 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tests.show.report.page_checks import read_page
 from tg4mm.capture import load_capture
 from tg4mm.core.pages import page as p
-from tg4mm.core.pages.svg import colour_bar
+from tg4mm.core.pages.charts import colour_bar
 from tg4mm.show.maps import blending_weights, image_motion, motion_maps, uncertainty_map
 from tg4mm.show.render.cameras import capture_cameras
 from tg4mm.show.report.figures import SliceLine, slice_picture

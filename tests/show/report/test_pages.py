@@ -156,7 +156,7 @@ def test_a_page_is_printed_or_it_is_said_what_prints(html, chromium, tmp_path, m
     made = pdf.print_pdf(path, pdf.printer())
     assert made.read_bytes().startswith(b"%PDF")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html", "page.pdf"]
-    with pytest.raises(RunError, match="did not print"):
+    with pytest.raises(RunError, match="failed to print"):
         pdf.print_pdf(path, "false")
     monkeypatch.setattr(pdf.shutil, "which", lambda _: None)
     monkeypatch.setattr(pdf, "_of_playwright", lambda: None)

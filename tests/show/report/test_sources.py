@@ -29,9 +29,9 @@ def test_without_truth_it_is_what_shows_the_motion_within_its_noise(reading, tmp
     config = {**made.config, "dataset": str(tmp_path), "dataset_from_run": "x"}
     bare = replace(reading, run=Run(made.path, config))
     alpha, why = choose_alpha(bare, result_from(bare).noise_px, AS_CAPTURED)
-    reach = reading.reach(reading.motion.is_magnified().astype(float))
-    assert reach.pixels * (1 + alpha) <= 0.04 * 48 * 1.001
-    assert reach.too_far * (1 + alpha) <= 1
+    limits = reading.limits(reading.motion.is_magnified().astype(float))
+    assert limits.pixels * (1 + alpha) <= 0.04 * 48 * 1.001
+    assert limits.too_far * (1 + alpha) <= 1
     assert "4 %" in why
 
 

@@ -16,7 +16,7 @@ from tg4mm.core.pictures.decode import write_png
 from tg4mm.research.evaluate.run import evaluate_run
 from tg4mm.run import Run
 from tg4mm.show.measure import measure
-from tg4mm.show.measure.table import rows_of
+from tg4mm.show.measure.tables import rows_of
 from tg4mm.show.report import ReportOptions, write_report
 from tg4mm.show.report.sources import gather_view, load_model
 from tg4mm.show.result import Length, result_of

@@ -59,8 +59,8 @@ def test_what_a_region_shows_is_named_in_a_scene_with_depth_too(copy, hz, size, 
     region = np.zeros((2, 2), bool)
     region[1, 0] = True
     seen = found(hz=hz)
-    place = {"centre_px": (9.0, 21.0), "cells": region, "region": region, "box": (0, 16, 16, 32)}
-    line = replace(seen.lines[0], amplitude_px=size, **place)
+    position = {"centre_px": (9.0, 21.0), "cells": region, "region": region, "box": (0, 16, 16, 32)}
+    line = replace(seen.lines[0], amplitude_px=size, **position)
     seen = replace(seen, lines=(line,), movers=(), moves_by_itself=~region & region, size=(32, 32))
     copy.record("look", to_record(seen))
     told = result_of(copy)
@@ -72,7 +72,7 @@ def test_what_a_region_shows_is_named_in_a_scene_with_depth_too(copy, hz, size, 
     (v,) = told.beside if where == "beside" else told.vibrations[:1]
     assert (v.hz, v.pixels.value) == (hz, size)
     capture = load_capture(copy.dataset)
-    at = capture.viewmats[0, :3, :3] @ v.place + capture.viewmats[0, :3, 3]
+    at = capture.viewmats[0, :3, :3] @ v.position + capture.viewmats[0, :3, 3]
     assert (capture.Ks[0] @ at)[:2] / at[2] == pytest.approx((9.0, 21.0))
     assert v.amplitude.value == pytest.approx(size * at[2] / capture.Ks[0, 0, 0])
     assert ("seen only in its region" in "\n".join(lines_of(told))) == (where == "beside")

@@ -109,8 +109,8 @@ def test_turns_beyond_half_a_radian_are_said(run):
     assert "α = 100: the largest motion becomes " in line
     turned = float(line.split("turn or shear by ")[1].split()[0])
     assert turned == pytest.approx(101 * 2 * 0.02 / 1.3, rel=0.3)
-    reach = reading_of(run).reach(np.array([101.0, 0.0]))
-    assert f"becomes {reach.pixels:.3g} px" in line
+    limits = reading_of(run).limits(np.array([101.0, 0.0]))
+    assert f"becomes {limits.pixels:.3g} px" in line
 
 
 def other_motion(run, tmp_path, amplitude, hz=3.0):

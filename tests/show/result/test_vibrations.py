@@ -63,8 +63,8 @@ def test_phasors_are_those_of_the_line_in_all_bins_together():
     line = line_near(ringing(5.13, 1.0), FPS, 5.13, [], 0.0)
     assert line is not None
     np.testing.assert_allclose(phasors_at(motion, line), shape, atol=0.01)
-    between = np.arange(N) % 4 != 0
-    np.testing.assert_allclose(phasors_at(motion, line, between), shape, atol=0.01)
+    b_frames = np.arange(N) % 4 != 0
+    np.testing.assert_allclose(phasors_at(motion, line, b_frames), shape, atol=0.01)
 
 
 @settings(deadline=None)
@@ -100,7 +100,7 @@ def test_a_line_is_a_vibration_in_pixels_and_scene_units_at_its_place():
     assert (v.hz, v.deviation_hz) == (5.2, 0.01)
     assert (v.pixels.value, v.pixels.deviation) == (0.12, 0.004)
     assert v.amplitude.value == pytest.approx(0.12 / 64)
-    assert v.place == pytest.approx(((40 - 32) / 64, 1.0, (25 - 24) / 64))
+    assert v.position == pytest.approx(((40 - 32) / 64, 1.0, (25 - 24) / 64))
     assert v.damping == 0.02
     assert v.band[0] < 5.2 < v.band[1]
 

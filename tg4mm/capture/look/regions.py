@@ -60,7 +60,7 @@ def _looked(scene: CellScene, region: Region) -> RegionLook:
     series = without(motion, scene.nuisance[rows])
     shown = scene.grid.picture(cells)
     between = scene.between[rows] if scene.treats_apart else None
-    found = find_lines(series, scene.times_s[rows], between=between).lines
+    found = find_lines(series, scene.times_s[rows], b_frames=between).lines
     lines = [_line(line, axes[:, resolved], region, shown) for line in found]
     remarks = [] if is_inside else ["its cells reach beyond it"]
     if not resolved.all():

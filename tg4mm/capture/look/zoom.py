@@ -120,8 +120,8 @@ def swing_note(swing: GlobalMotion, size: tuple[int, int]) -> str:
     """Describe the whole picture's motion, in pictures of a width and height, and its likely cause."""
     if swing.kind == "light":
         return (
-            f"changes by {swing.largest:.2g} of it, fastest at {swing.at_s:.1f} s: exposure or lamps; the change is "
-            "taken off"
+            f"changes by {100 * swing.largest:.3g} %, fastest at {swing.at_s:.1f} s: exposure or lamps; the change is "
+            "removed"
         )
     share = swing.largest / (np.hypot(*size) / 2)
     if swing.kind == "zoom":

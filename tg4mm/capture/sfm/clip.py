@@ -41,6 +41,8 @@ _IN_FOLDERS = tuple({*VIDEO_SUFFIXES, *PHOTRON_SUFFIXES} - {".gif"})
 UNREAD = (".heic", ".heif", ".dng", ".cr2", ".cr3", ".nef", ".arw")
 # Files that distinguish a dataset for `tg4mm train` from a folder of pictures.
 DATASET = ("scene.json", "transforms*.json", "*/transforms_*.json", "sparse/images.*", "sparse/0/images.*")
+KEYS = 80  # sharp frames that poses are first found from, at most
+SWEEP_FRAMES = 60  # of a video of the scene at rest
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class Clip:
 
     @property
     def is_untimed(self) -> bool:
-        """Whether the times of the pictures follow from their rate alone."""
+        """Return whether the times of the pictures follow from their rate alone."""
         return not self.is_video or is_untimed(self.path)
 
 
@@ -170,7 +172,7 @@ def regular_times(times: list[Fraction], fps: Fraction, tick: Fraction) -> list[
 
 
 def _fit(times: list[Fraction], fps: Fraction, tick: Fraction, numbers: np.ndarray, ticks: float = 2) -> bool:
-    """Whether stamps [T] are those of frames `numbers` [T], rounded to ticks, or to longer ones written in them.
+    """Return whether stamps [T] are those of frames `numbers` [T], rounded to ticks, or to longer ones written in them.
 
     ticks: over which what was rounded once (1), or more than once, spreads.
     """
@@ -207,10 +209,6 @@ def uneven_steps(times_s: np.ndarray) -> tuple[float, float] | None:
     median = float(np.median(steps))
     uneven = np.abs(steps - median).max() > UNEVEN * median
     return (float(steps.min()), float(steps.max())) if uneven else None
-
-
-KEYS = 80  # sharp frames that poses are first found from, at most
-SWEEP_FRAMES = 60  # of a video of the scene at rest
 
 
 def check_numbers(pictures: Sequence[Path]) -> None:

@@ -26,6 +26,9 @@ CAMERA_MODELS = (
 )
 
 DEFAULTS = SfmConfig()
+NAME = "request.json"
+# Settings that change scene.json and the frames' times alone: asked for anew, those are written again.
+SCENE_ONLY = ("unit_scale_m", "baseline", "length", "fps", "readout_s")
 
 
 def checked(config: SfmConfig) -> SfmConfig:
@@ -58,11 +61,6 @@ def checked(config: SfmConfig) -> SfmConfig:
             f"{' and '.join(given)} exclude each other: each gives the scene's scale; give only one"
         )
     return config
-
-
-NAME = "request.json"
-# Settings that change scene.json and the frames' times alone: asked for anew, those are written again.
-SCENE_ONLY = ("unit_scale_m", "baseline", "length", "fps", "readout_s")
 
 
 @dataclass(frozen=True)

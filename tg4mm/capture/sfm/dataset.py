@@ -22,6 +22,7 @@ from tg4mm.core.progress import Update, progress
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 COPIED = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
+SPACING = 3  # pixels between points of the plane
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,6 @@ def _frame(track: Track, t: int, file: str) -> dict[str, Any]:
     return frame if track.times_s is None else frame | {"time": float(track.times_s[t])}
 
 
-SPACING = 3  # pixels between points of the plane
 # World to camera, OpenCV axes: the camera is at the origin, upright, and looks along +y.
 VIEWMAT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 

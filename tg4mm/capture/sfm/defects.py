@@ -239,7 +239,7 @@ def warn_light(surveys: Iterable[Survey]) -> None:
         times = np.array([float(time) for time in survey.times])
         found = [_change(times, survey.light[:, :1]), _change(times, survey.light[:, 1:])]
         found_defects = [
-            f"{what} changes by {size:.2g} of it, fastest at {at:.1f} s"
+            f"{what} changes by {100 * size:.3g} %, fastest at {at:.1f} s"
             for what, (size, at) in zip(("exposure", "white balance"), found, strict=True)
             if size > _REPORTED
         ]

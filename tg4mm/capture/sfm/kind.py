@@ -48,12 +48,12 @@ def check_kind(sources: Sources, asked: str | None) -> None:
     possible = possible_kinds(sources)
     if asked not in possible:
         raise CaptureError(
-            f"--kind is {asked}, but {sources.path} holds {held(sources)}, "
+            f"--kind is {asked}, but {sources.path} holds {described(sources)}, "
             f"which can be {' or '.join(possible)}"
         )
 
 
-def held(sources: Sources) -> str:
+def described(sources: Sources) -> str:
     """Describe the files on disk."""
     if sources.photographs is not None:
         return f"{len(sources.photographs.pictures)} photographs"
@@ -75,7 +75,7 @@ def kind_of(sources: Sources, surveys: Sequence[Survey], asked: str | None) -> t
         kind = next(k for k in possible if k.fixed == fixed)
     else:
         kind = possible[0]
-    return kind, f"holds {held(sources)}{kind.because}"
+    return kind, f"holds {described(sources)}{kind.because}"
 
 
 def _one_after_another(surveys: Sequence[Survey]) -> bool:
@@ -94,7 +94,7 @@ def check_fits(images: Path, kind: Kind, surveys: Sequence[Survey], config: SfmC
     if config.test_every and not kind.holds_out:
         raise Tg4mmError(f"--test-every is {config.test_every}, but {kind} has no camera to hold out")
     if config.synchronous and not kind.together:
-        raise Tg4mmError(f"--synchronous is for the cameras of a rig, but {images} is taken for {kind}")
+        raise Tg4mmError(f"--synchronous is for the cameras of a rig, but {images} is recognised as {kind}")
     if config.synchronous:
         _check_as_long(surveys)
     if config.readout_s:
@@ -103,7 +103,7 @@ def check_fits(images: Path, kind: Kind, surveys: Sequence[Survey], config: SfmC
 
 def _check_readout(images: Path, kind: Kind, surveys: Sequence[Survey], config: SfmConfig) -> None:
     if not kind.fixed:
-        raise Tg4mmError(f"--readout is for fixed cameras, but {images} is taken for {kind}")
+        raise Tg4mmError(f"--readout is for fixed cameras, but {images} is recognised as {kind}")
     assert config.readout_s is not None
     for survey in surveys:
         frame_s = 1 / float(survey.clock(config.fps)[0])
@@ -137,7 +137,7 @@ def check_options(sources: Sources, config: SfmConfig) -> None:
     """Options that what lies on disk has no use for."""
     if config.synchronous and not any(kind.together for kind in possible_kinds(sources)):
         raise Tg4mmError(
-            f"--synchronous is for the cameras of a rig, but {sources.path} holds {held(sources)}"
+            f"--synchronous is for the cameras of a rig, but {sources.path} holds {described(sources)}"
         )
     frames = [clip.name for clip in sources.clips if clip.is_untimed]
     if frames and config.fps is None and not (config.kind and Kind(config.kind).still):
@@ -169,7 +169,7 @@ class Divided:
 
     sources: Sources
     config: SfmConfig  # whose window is the part that stands
-    parts: "Standing"
+    parts: "StaticSegment"
 
     def __str__(self) -> str:
         return str(self.parts)
@@ -180,7 +180,7 @@ def divided(sources: Sources, surveys: Sequence[Survey], config: SfmConfig) -> D
     is_free = config.kind is None and config.window.is_all and sources.sweep is None
     if not is_free or len(sources.clips) != 1 or not sources.clips[0].is_video or is_fixed(surveys[0]):
         return None
-    found = standing(sources.clips[0], surveys[0], config.window)
+    found = static_segment(sources.clips[0], surveys[0], config.window)
     if found is None:
         return None
     sweep = Clip(SWEEP, sources.clips[0].path, window=found.walks)
@@ -191,7 +191,7 @@ def divided(sources: Sources, surveys: Sequence[Survey], config: SfmConfig) -> D
 
 
 @dataclass(frozen=True)
-class Standing:
+class StaticSegment:
     """Seconds since the video's first frame."""
 
     stands: TimeWindow
@@ -202,7 +202,7 @@ class Standing:
         return f"the camera walks from {walk} and stands from {stand}"
 
 
-def standing(clip: Clip, survey: Survey, window: TimeWindow) -> Standing | None:
+def static_segment(clip: Clip, survey: Survey, window: TimeWindow) -> StaticSegment | None:
     """The longest part of a video in which its camera stands, and the longer walk before or after it.
 
     None where there are not both: a camera that stands for a second or more, and one that goes round.
@@ -225,7 +225,7 @@ def standing(clip: Clip, survey: Survey, window: TimeWindow) -> Standing | None:
     # a video that goes on to its end stands to its end; the last moment before a walk is one of taking it up
     end = float(survey.times[-1]) + STEP_S if stop == len(steps) else end
     last = float(survey.times[-1]) + STEP_S if walk[1] == len(steps) else float(times[walk[1]])
-    return Standing(TimeWindow(begin, end), TimeWindow(float(times[walk[0]]), last))
+    return StaticSegment(TimeWindow(begin, end), TimeWindow(float(times[walk[0]]), last))
 
 
 def _steps(clip: Clip, survey: Survey, window: TimeWindow) -> tuple[np.ndarray, np.ndarray]:

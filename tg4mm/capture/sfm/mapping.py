@@ -28,6 +28,10 @@ FEWEST_INLIERS = 15  # that COLMAP asks of the picture it places
 NEIGHBOURS = 3  # frames of the model on either side that a frame is matched with
 FEWEST_OF_FRAME = 30  # points of the model that a frame must show
 INLIER_PX = 3.0
+GROWTH = 0.05  # of the sum of squared reprojection errors, up to which all lenses are taken for pinholes
+SLIGHT_PX = 0.5  # largest bend of a lens that is taken for one whatever the others are
+STEPS = 50  # of an adjustment, as COLMAP's mapper takes
+TOLERANCE = 1e-6  # relative change of the squared error at which it ends
 
 
 def find_poses(
@@ -147,12 +151,6 @@ def check_registered(names: Sequence[str], placed: dict[str, Any], fewest: int) 
             "a sweep/ of further pictures between them helps"
         )
     return missing
-
-
-GROWTH = 0.05  # of the sum of squared reprojection errors, up to which all lenses are taken for pinholes
-SLIGHT_PX = 0.5  # largest bend of a lens that is taken for one whatever the others are
-STEPS = 50  # of an adjustment, as COLMAP's mapper takes
-TOLERANCE = 1e-6  # relative change of the squared error at which it ends
 
 
 # Bend, focal length and shape of the scene trade places with hardly any change of the reprojection error, and a bend

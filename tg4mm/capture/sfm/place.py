@@ -1,4 +1,4 @@
-"""Cameras that structure from motion placed, as the dataset's cameras in a world of the usual kind."""
+"""The dataset's cameras in a world of the usual kind, from the cameras and points of structure from motion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,15 +6,17 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.capture.cameras import nearest_point_equations, optical_axes
 from tg4mm.capture.sfm.clip import SWEEP, Clip, Sources, TimeWindow
 from tg4mm.capture.sfm.dataset import Track
-from tg4mm.capture.sfm.points import SfmPoints, Similarity, points_of, world_of
 from tg4mm.capture.sfm.staging import StagedPicture, staged_name
 from tg4mm.capture.sfm.survey import Survey
+from tg4mm.capture.sfm.triangulate import SfmPoints, points_of
 from tg4mm.capture.sfm.undistort import Key, Lens, lenses, quarter_turned
 from tg4mm.core.choices import Kind
 from tg4mm.core.errors import CaptureError
 
+DISTANCE = 4.0  # scene units, mean distance of the cameras from the middle, NeRF-synthetic's
 RATES_AGREE = 0.01  # relative, of cameras whose frames go into the same timesteps
 
 
@@ -24,6 +26,26 @@ class FrameTimes:
 
     fps: float  # Hz
     times_s: dict[str, np.ndarray]  # of each clip, [T] seconds since its first frame
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """x ↦ scale · rotation (x − centre)."""
+
+    rotation: np.ndarray  # [3, 3]
+    scale: float
+    centre: np.ndarray  # [3]
+
+    def points(self, xyz: np.ndarray) -> np.ndarray:
+        """[M, 3] points moved."""
+        return self.scale * (xyz - self.centre) @ self.rotation.T
+
+    def viewmats(self, viewmats: np.ndarray) -> np.ndarray:
+        """[C, 4, 4] world-to-camera of the same cameras in the new world, lengths in new units."""
+        moved = np.tile(np.eye(4), (len(viewmats), 1, 1))
+        moved[:, :3, :3] = viewmats[:, :3, :3] @ self.rotation.T
+        moved[:, :3, 3] = self.scale * (viewmats[:, :3, 3] + viewmats[:, :3, :3] @ self.centre)
+        return moved
 
 
 @dataclass(frozen=True)
@@ -155,3 +177,45 @@ class _Cameras:
             self.viewmats[i : i + 1],
             may_test=may_test,
         )
+
+
+def world_of(viewmats: np.ndarray, xyz: np.ndarray) -> Similarity:
+    """The similarity that brings cameras viewmats [C, 4, 4] and points [M, 3] to a world of the usual kind.
+
+    Up is what the pictures' rows are level to. The middle is the point nearest to all optical axes, or that of the
+    points where the axes do not meet before the cameras. Then the first camera looks along +y, seen from above.
+    """
+    up = up_axis(viewmats)
+    centres, axes = optical_axes(viewmats)
+    ahead = axes[0] - (axes[0] @ up) * up
+    if np.linalg.norm(ahead) < 1e-3:  # straight down: the top of the picture is ahead
+        ahead = -viewmats[0, 1, :3] + (viewmats[0, 1, :3] @ up) * up
+    ahead /= np.linalg.norm(ahead)
+    rotation = np.stack([np.cross(ahead, up), ahead, up])
+    middle = _middle(centres, axes, xyz)
+    distance = float(np.linalg.norm(centres - middle, axis=1).mean())
+    return Similarity(rotation, DISTANCE / max(distance, 1e-12), middle)
+
+
+def up_axis(viewmats: np.ndarray) -> np.ndarray:
+    """[3] unit vector: across to the cameras' horizontal axes (least squares), on the side of their mean up.
+
+    Pictures are mostly taken level, so their rows are horizontal, however far the cameras look down. Where all rows
+    point one way (cameras side by side), across is undetermined: then it is the mean up itself.
+    """
+    mean_up = -viewmats[:, 1, :3].mean(axis=0)
+    _, size, directions = np.linalg.svd(viewmats[:, 0, :3])
+    up = directions[2] * np.sign(directions[2] @ mean_up or 1.0)
+    length = np.linalg.norm(mean_up)
+    if size[1] < 0.1 * size[0] or (len(size) > 2 and size[2] > 0.5 * size[1]) or up @ mean_up < 0.3 * length:
+        return mean_up / max(length, 1e-12) if length > 1e-6 else up
+    return up
+
+
+def _middle(centres: np.ndarray, axes: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+    A, b = nearest_point_equations(centres, axes)
+    if np.linalg.cond(A) < 1e3:
+        middle = np.linalg.solve(A, b)
+        if ((middle - centres) * axes).sum(axis=1).min() > 0:
+            return middle
+    return np.median(xyz, axis=0) if len(xyz) else centres.mean(axis=0) + axes.mean(axis=0)

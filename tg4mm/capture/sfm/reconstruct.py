@@ -95,7 +95,7 @@ def reconstruct(
     if done is not None:
         return done
     try:
-        with work.owned.held("makes this dataset"):
+        with work.owned.locked("makes this dataset"):
             return _made(images, work, sources, config, threads, name or out.resolve().name)
     except CaptureError:
         work.forget()
@@ -119,7 +119,7 @@ def _made(
         sources = replace(sources, clips=(sources.clips[0].without(surveys[0].repeats),))
         kind, reason = kind_of(sources, surveys, None)
         reason = f"{found}; --kind, --from or --until overrule"
-    print(f"{images}: taken for {kind}: {reason}", file=sys.stderr, flush=True)
+    print(f"{images}: recognised as {kind}: {reason}", file=sys.stderr, flush=True)
     warn_clocks(surveys, config.fps)
     if not kind.still:
         check_usable(surveys, kind.fixed)

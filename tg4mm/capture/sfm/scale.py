@@ -16,7 +16,7 @@ import numpy as np
 
 from tg4mm.capture.sfm.clip import SWEEP
 from tg4mm.capture.sfm.dataset import Track
-from tg4mm.capture.sfm.points import Similarity
+from tg4mm.capture.sfm.place import Similarity
 from tg4mm.capture.sfm.staging import StagedPicture, staged_name
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.extras import install
@@ -196,7 +196,7 @@ def _shot(name: str, taken: Sequence[StagedPicture], placed: Mapping[str, Any]) 
                 raise Tg4mmError(f"--length: {name} could not be placed")
             return shot
     known = ", ".join(shot.path.name for shot in taken[:6])
-    raise Tg4mmError(f"--length names {name}, which is no picture; there are {known} …")
+    raise Tg4mmError(f"--length names {name}, which is not a picture; there are {known} …")
 
 
 def baseline_scale(tracks: Sequence[Track], baseline: tuple[str, str, float]) -> float:
@@ -212,7 +212,7 @@ def baseline_scale(tracks: Sequence[Track], baseline: tuple[str, str, float]) ->
         key = next((key for key in (name, stem, f"{SWEEP}_{stem}") if key in still), None)
         if key is None:
             known = ", ".join(list(still)[:8])
-            raise Tg4mmError(f"--baseline names {name}, which is no placed camera; there are {known} …")
+            raise Tg4mmError(f"--baseline names {name}, which is not a placed camera; there are {known} …")
         viewmat = still[key].viewmats[0]
         found.append(-viewmat[:3, :3].T @ viewmat[:3, 3])
     apart = float(np.linalg.norm(found[0] - found[1]))
@@ -233,7 +233,7 @@ def triangulated(sights: Sequence[Sight], steps: int = 10) -> Spot:
     names = ", ".join(s.name for s in sights)
     if widest < SHALLOWEST_DEG:
         raise Tg4mmError(
-            f"--length: {names} see the point from directions {widest:.2f}° apart, too close for depth; "
+            f"--length: {names} see the point in directions {widest:.2f}° apart, too close for depth; "
             "mark it in another picture"
         )
     across = np.eye(3) - rays[:, :, None] * rays[:, None]

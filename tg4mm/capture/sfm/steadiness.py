@@ -316,7 +316,7 @@ class NoveltyMeter:
         return bool(np.ptp(np.quantile(seen, (0.05, 0.95))) > LIT)
 
     def hardly_changes(self, is_new: np.ndarray) -> bool:
-        """Whether all frames are one picture, or show a still scene whose noise the codec took away.
+        """Return whether all frames are one picture, or a still scene whose noise the codec removed.
 
         is_new [T] bool: frames that are no duplicates.
         """
@@ -330,7 +330,7 @@ class NoveltyMeter:
         return bool(silent <= SILENT and median < QUIET and busiest < BUSY and not self._keys_differ())
 
     def _keys_differ(self) -> bool:
-        """Whether key frames have noise that the frames between them have lost. The first one is coarser."""
+        """Return whether key frames have noise that the frames between them lack. The first one is coarser."""
         changes = self._key_changes[1:]
         return len(changes) >= FEWEST_KEYS and min(changes) >= max(NOISE, EVEN * max(changes))
 

@@ -43,7 +43,7 @@ def find_lines(
     noise: np.ndarray | float = 0.0,
     ends: tuple[float, float] | None = None,
     most: int = 8,
-    between: np.ndarray | None = None,
+    b_frames: np.ndarray | None = None,
     chance: float = 0.01,
 ) -> Lines:
     """The lines of values [T] or [T, D] at times [T] in seconds, which need not be even.
@@ -68,8 +68,8 @@ def find_lines(
     shapes = _kept(record, shapes)
     found = record.result(shapes)
     order = np.argsort([-line.strength for line in found.lines])
-    if between is not None and (
-        part := without_between(record, [shapes[k] for k in order], np.asarray(between, bool))
+    if b_frames is not None and (
+        part := without_between(record, [shapes[k] for k in order], np.asarray(b_frames, bool))
     ):
         later, lines_there, differ = part
         lines = later.result(_kept(later, lines_there)).lines
@@ -97,7 +97,7 @@ def _peaks(record: Record, most: int) -> list[LineShape]:
 
 
 def _is_among(line: Line, lines: Sequence[Line], record: Record) -> bool:
-    """Whether a line is among those fitted to a part of its record."""
+    """Return whether a line is among those fitted to a part of its record."""
     reach = 1 / float(np.ptp(record.t))
     return any(abs(line.hz - other.hz) < max(reach, 3 * other.hz_deviation) for other in lines)
 
@@ -186,7 +186,7 @@ def _with_next(record: Record, shapes: list[LineShape]) -> list[LineShape] | Non
 
 
 def _explains(record: Record, shapes: list[LineShape], shape: LineShape, tried: float) -> bool:
-    """Whether a line stands out of what it leaves: its own side lobes may be all that there is besides."""
+    """Return whether a line stands out of what it leaves: its own side lobes may be all that there is besides."""
     more = refined([*shapes, shape], record.t, record.y, record.ends)
     phasors, residual = solved(more, record.t, record.y)
     levels, width = record.levels(more, residual), 2 * record.y.shape[1]
@@ -329,7 +329,7 @@ def _without_most_doubtful(record: Record, shapes: list[LineShape]) -> list[Line
 
 
 def _is_change(record: Record, shapes: list[LineShape], i: int, size: np.ndarray) -> bool:
-    """Whether a change of a stronger line near line i explains it."""
+    """Return whether a change of a stronger line near line i explains it."""
     for j, s in enumerate(shapes):
         if size[j] > size[i] and abs(shapes[i].hz - s.hz) < reach(record, s):
             alone = [other for k, other in enumerate(shapes) if k != i]
@@ -340,7 +340,7 @@ def _is_change(record: Record, shapes: list[LineShape], i: int, size: np.ndarray
 
 
 def _are_two(record: Record, shapes: list[LineShape], i: int, j: int, levels: np.ndarray) -> bool:
-    """Whether one decaying line in place of both leaves a significantly larger residual."""
+    """Return whether one decaying line in place of both leaves a significantly larger residual."""
     rest = [s for k, s in enumerate(shapes) if k not in (i, j)]
     one = refined([*rest, replace(shapes[j], is_free=True)], record.t, record.y, record.ends)
     left = [(solved(o, record.t, record.y)[1] ** 2).sum(0) for o in (one, shapes)]

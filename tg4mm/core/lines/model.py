@@ -19,6 +19,14 @@ _FURTHEST = 0.75  # over the duration, Hz: what a refinement may move a frequenc
 _STEEPEST = 0.5  # damping ratio
 _GROWS = 8.0  # e-foldings over the record, at most
 _STEPS = 25
+AROUND = 6  # bins to either side of a line whose residual gives its noise
+_WIDEST, _NARROWEST = (
+    40,
+    8,
+)  # bins to either side from which the level is estimated where lines are looked for
+_TRIMMED = 0.2  # of the bins, the strongest: lines that are still there
+_ROUNDING = 1e-14  # of the power
+_CLIPS, _ENOUGH = 8, 20  # times that peaks are left out of the noise; frequencies that a parabola needs
 
 
 @dataclass(frozen=True)
@@ -152,16 +160,6 @@ def _with(shapes: Sequence[LineShape], x: np.ndarray, duration: float) -> list[L
         out.append(replace(s, hz=float(x[k] / duration), decay=decay))
         k += 1 + s.is_free
     return out
-
-
-AROUND = 6  # bins to either side of a line whose residual gives its noise
-_WIDEST, _NARROWEST = (
-    40,
-    8,
-)  # bins to either side from which the level is estimated where lines are looked for
-_TRIMMED = 0.2  # of the bins, the strongest: lines that are still there
-_ROUNDING = 1e-14  # of the power
-_CLIPS, _ENOUGH = 8, 20  # times that peaks are left out of the noise; frequencies that a parabola needs
 
 
 def gridded(values: np.ndarray, t: np.ndarray, length: int) -> np.ndarray:

@@ -26,6 +26,15 @@ from tg4mm.core.lines.model import (
 
 _CYCLES, _FEWEST = 2, 12  # of a time constant, at least; samples in it
 _RANGE = 0.25, 4.0  # times the decay
+LEAST_CYCLES = 1.5  # of the record: slower is drift
+FEWEST = 12  # samples from which there can be a line
+LONG = 2000  # samples from which on neither slow changes nor beginnings of lines are looked for
+# of the amplitude over the record, from which on a line decays, grows, or cannot be called steady
+LEAST_CHANGE = 0.1
+_ALIKE = 6  # components up to which their correlation is taken out
+_TINY = 1e-12
+_NEXT = 4  # of a modulation's cosines from which the slowest one is estimated
+_KNOWN = 1000  # degrees of freedom of a level that is known from elsewhere
 
 
 def tone(times_s: np.ndarray, hz: float) -> np.ndarray:
@@ -125,17 +134,6 @@ class Line:
         re, im = 2 + np.arange(n), 2 + n + np.arange(n)
         c, a, b = self.covariance, direction.real, direction.imag
         return np.maximum(a * a * c[re, re] + b * b * c[im, im] + 2 * a * b * c[re, im], 0)
-
-
-LEAST_CYCLES = 1.5  # of the record: slower is drift
-FEWEST = 12  # samples from which there can be a line
-LONG = 2000  # samples from which on neither slow changes nor beginnings of lines are looked for
-# of the amplitude over the record, from which on a line decays, grows, or cannot be called steady
-LEAST_CHANGE = 0.1
-_ALIKE = 6  # components up to which their correlation is taken out
-_TINY = 1e-12
-_NEXT = 4  # of a modulation's cosines from which the slowest one is estimated
-_KNOWN = 1000  # degrees of freedom of a level that is known from elsewhere
 
 
 @dataclass(frozen=True)

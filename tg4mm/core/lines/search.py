@@ -28,6 +28,11 @@ _GROWTHS = -1.5, -4.0
 _BLOCKS = 32  # beginnings that are tried
 # of a filter's energy; periods also of the record before a beginning
 _LEAST_SAMPLES, LEAST_PERIODS = (8.0, 1.0)
+_SURE = 1e-3  # chance that pictures between others are called lossy though they are not
+# times weaker than the line that it comes of: what a codec makes, if it keeps a tenth of a motion
+WEAKER = 1.5
+_MIRROR, _OVERLAP = 2.0, 0.7  # 1 / duration about twice a frequency, and what is too much there
+_PLACES = 3  # of pictures between two others, at most, that are distinguished
 
 
 @dataclass(frozen=True)
@@ -169,23 +174,16 @@ def _turned(hz: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.asarray((coarse[:, None] * fine).reshape(-1, len(t))[: len(hz)])
 
 
-_SURE = 1e-3  # chance that pictures between others are called lossy though they are not
-# times weaker than the line that it comes of: what a codec makes, if it keeps a tenth of a motion
-WEAKER = 1.5
-_MIRROR, _OVERLAP = 2.0, 0.7  # 1 / duration about twice a frequency, and what is too much there
-_PLACES = 3  # of pictures between two others, at most, that are distinguished
-
-
 def without_between(
-    record: Record, shapes: Sequence[LineShape], between: np.ndarray
+    record: Record, shapes: Sequence[LineShape], b_frames: np.ndarray
 ) -> tuple[Record, list[LineShape], bool] | None:
     """Return the record without B-frames, its lines, and whether the B-frames differ from it.
 
     shapes: by falling strength. between [T] bool. None where all pictures count: the others are too few, or cannot
     separate a line from its mirror image, or from another where nothing shows that one is a sideband.
     """
-    forward = np.flatnonzero(~between)
-    if len(forward) < max(FEWEST, 6 * len(shapes) + 8) or not between.any() or not shapes:
+    forward = np.flatnonzero(~b_frames)
+    if len(forward) < max(FEWEST, 6 * len(shapes) + 8) or not b_frames.any() or not shapes:
         return None
     part = replace(record, t=record.t[forward], y=record.y[forward])
     if any(_mirrored(part.t, s.hz) for s in shapes):
@@ -201,7 +199,7 @@ def without_between(
     begun = [_part_of(s, forward) for s in lines]
     found = refined(begun, part.t, part.y, part.ends)
     levels = part.levels(found, solved(found, part.t, part.y)[1])
-    differ = _differ(record, lines, between, [levels[part.bin_of(s.hz, len(levels))] for s in found])
+    differ = _differ(record, lines, b_frames, [levels[part.bin_of(s.hz, len(levels))] for s in found])
     if not differ and len(lines) < len(shapes):
         return None
     return part, found, differ
@@ -214,34 +212,34 @@ def _part_of(shape: LineShape, forward: np.ndarray) -> LineShape:
 
 
 def _mirrored(t: np.ndarray, hz: float) -> bool:
-    """Whether times [T] hardly resolve a frequency from its negative, as even ones do near half their rate."""
+    """Return whether times [T] hardly resolve a frequency from its negative, as even ones do near half their rate."""
     off = np.linspace(-_MIRROR, _MIRROR, 17) / float(np.ptp(t))
     overlap = np.abs(np.exp(4j * np.pi * (hz + off / 2)[:, None] * (t - t[0])).mean(1))
     return bool(overlap.max() > _OVERLAP)
 
 
 def _look_alike(part: Record, a: LineShape, b: LineShape) -> bool:
-    """Whether the other pictures alone do not resolve two lines."""
+    """Return whether the other pictures alone do not resolve two lines."""
     return abs(part.folded(a.hz) - part.folded(b.hz)) < max(
         1 / float(np.ptp(part.t)), abs(a.decay) / (2 * np.pi)
     )
 
 
 def _differ(
-    record: Record, shapes: Sequence[LineShape], between: np.ndarray, levels: Sequence[np.ndarray]
+    record: Record, shapes: Sequence[LineShape], b_frames: np.ndarray, levels: Sequence[np.ndarray]
 ) -> bool:
-    """Whether any line has a different phasor in the B-frames; levels [D] of noise at each.
+    """Return whether any line has a different phasor in the B-frames; levels [D] of noise at each.
 
-    Two tests share the chance: one gain of all those pictures and components, what a low-pass does; and any phasor for
-    each place between two others, as it changes over the record.
+    Two tests share the chance of a false alarm: one gain for all B-frames and components, as by a low-pass; and a free
+    phasor for each position between two other frames.
     """
     x = design(shapes, record.t)
     chance = _SURE / (2 * len(shapes))
     phasors = solved(shapes, record.t, record.y)[0]
     for s, phasor, level in zip(shapes, phasors, levels, strict=True):
-        if _gained(record, x, (s.wave(record.t) * between)[:, None] * phasor, level) > chi2.isf(chance, 2):
+        if _gained(record, x, (s.wave(record.t) * b_frames)[:, None] * phasor, level) > chi2.isf(chance, 2):
             return True
-        part = _own(record, s, between)
+        part = _own(record, s, b_frames)
         if _explained(record, x, part, level) > chi2.isf(chance, part.shape[1] * record.y.shape[1]):
             return True
     return False
@@ -265,10 +263,10 @@ def _explained(record: Record, x: np.ndarray, more: np.ndarray, level: np.ndarra
     return float((((before**2).sum(0) - (after**2).sum(0)) / level).sum())
 
 
-def _own(record: Record, shape: LineShape, between: np.ndarray) -> np.ndarray:
+def _own(record: Record, shape: LineShape, b_frames: np.ndarray) -> np.ndarray:
     """[T, P] a line in the first, the second, … picture between two others, and as that changes over the record."""
-    last = np.maximum.accumulate(np.where(between, -1, np.arange(len(between))))
-    place = np.minimum(np.arange(len(between)) - last, _PLACES) * between
+    last = np.maximum.accumulate(np.where(b_frames, -1, np.arange(len(b_frames))))
+    place = np.minimum(np.arange(len(b_frames)) - last, _PLACES) * b_frames
     wave, slow = shape.wave(record.t), (record.t - record.t.mean()) / np.ptp(record.t)
     waves = [
         wave * (place == k) * s for k in range(1, _PLACES + 1) if (place == k).any() for s in (1.0, slow)

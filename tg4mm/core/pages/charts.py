@@ -1,4 +1,4 @@
-"""Charts by matplotlib as inline SVG whose colours are the page's CSS variables, so that they follow light and dark.
+"""Charts by matplotlib: in files, and as inline SVG whose colours are the page's CSS variables (light and dark).
 
 With its numbers, read from the matplotlib axes, `zoom.js` draws a chart by uPlot so that it zooms. uPlot 1.6.32 (MIT,
 `uplot/LICENSE.txt`, https://github.com/leeoniya/uPlot) lies in `uplot/` as its author built it.
@@ -8,12 +8,18 @@ import io
 import json
 import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup, escape
+
+from tg4mm.core.colour import amount_colours, hex_colour, phase_colours
+from tg4mm.core.digits import nice_ticks, number
+from tg4mm.core.files import write_atomic
 
 COLOURS = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito's, distinguishable for the colour-blind
 STYLE: dict[Any, Any] = {
@@ -25,7 +31,6 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "tg4mm",
     "legend.frameon": False,
 }
-
 # Colours that nothing else is drawn in, and the variables that take their places.
 INK, MUTED, RULE, OURS, CEILING, STILL, CARD = (f"#0a0b{k:02x}" for k in range(1, 8))
 _VARIABLES = {
@@ -205,3 +210,73 @@ def _levels(mesh: Any) -> dict[str, Any]:
         "limits": [float(low), float(high)],
         "colours": [to_hex(mesh.cmap((k + 0.5) / _COLOURS)) for k in range(_COLOURS)],
     }  # fmt: skip
+
+
+@contextmanager
+def pyplot() -> Iterator[Any]:
+    """Yield `matplotlib.pyplot` in the style of the pages."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context(STYLE):
+        yield plt
+
+
+def save(plt: Any, figure: Any, paths: Sequence[Path], dpi: int = 120) -> None:
+    """Write a figure to the files, PNG or SVG by their suffixes, and close it."""
+    for path in paths:
+        ending = path.suffix[1:].lower()
+        metadata = {"Date": None} if ending == "svg" else None
+        write_atomic(path, partial(figure.savefig, format=ending, dpi=dpi, metadata=metadata))
+        figure.set_layout_engine("none")  # the first file has laid it out
+    plt.close(figure)
+
+
+def colour_bar(top: float, unit: str, label: str) -> Markup:
+    """A bar of the map for amounts with ticks from 0 to `top`."""
+    ticks = [(t / top, number(t)) for t in nice_ticks(0.0, top, 5)] if top > 0 else [(0.0, "0")]
+    stops = [(s, hex_colour(amount_colours(np.array(s)))) for s in np.linspace(0, 1, 13)]
+    return _bar(stops, ticks, f"{label} ({unit})" if unit else label)
+
+
+def phase_bar() -> Markup:
+    """A bar of the closed colour map with ticks from −180° to 180°."""
+    ticks = [((d + 180) / 360, f"{d}°".replace("-", "−")) for d in (-180, -90, 0, 90, 180)]
+    stops = [(s, hex_colour(phase_colours(np.array((s - 0.5) * 2 * np.pi)))) for s in np.linspace(0, 1, 25)]
+    return _bar(stops, ticks, "phase at timestep 0")
+
+
+def _bar(stops: list[tuple[float, str]], ticks: list[tuple[float, str]], label: str) -> Markup:
+    width, inset = 360, 24
+    name = f"g{zlib.crc32(f'{stops}{label}'.encode()):08x}"
+    gradient = Markup("").join(
+        Markup('<stop offset="{:.3f}" stop-color="{}"/>').format(float(s), colour) for s, colour in stops
+    )
+    parts = [
+        Markup('<defs><linearGradient id="{}">{}</linearGradient></defs>').format(name, gradient),
+        Markup('<rect x="{}" y="4" width="{}" height="12" rx="2" fill="url(#{})"/>').format(
+            inset, width - 2 * inset, name
+        ),
+    ]
+    for share, text in ticks:
+        x = inset + share * (width - 2 * inset)
+        parts += [_line(x, 16, x, 21, "rule"), _text(x, 34, text, "middle")]
+    parts.append(_text(width / 2, 52, label, "middle", "axis"))
+    body = Markup("").join(parts)
+    return Markup('<svg class="colourbar" viewBox="0 0 {} 58" role="img" aria-label="{}">{}</svg>').format(
+        width, label, body
+    )
+
+
+def _line(x1: float, y1: float, x2: float, y2: float, style: str) -> Markup:
+    return Markup('<line class="line-{}" x1="{:.1f}" y1="{:.1f}" x2="{:.1f}" y2="{:.1f}"/>').format(
+        style, x1, y1, x2, y2
+    )
+
+
+def _text(x: float, y: float, text: str, anchor: str, style: str = "tick") -> Markup:
+    return Markup('<text class="{}" x="{:.1f}" y="{:.1f}" text-anchor="{}">{}</text>').format(
+        style, x, y, anchor, text
+    )

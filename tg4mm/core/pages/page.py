@@ -17,7 +17,7 @@ from tg4mm.core.pictures.decode import png_bytes, to_bytes
 _HERE = Path(__file__).parent
 PHOTO_EDGE = 800  # pixels
 _LEAST_EDGE = 512  # pixels, of what is enlarged smoothly
-Words = str | Markup
+Inline = str | Markup
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Figure:
     """Panels side by side over one caption. `legend` is a drawing under them, for example a colour bar."""
 
     panels: Sequence[FigurePanel]
-    caption: Words
+    caption: Inline
     columns: int = 0  # 0 = as many as there are panels
     legend: Markup = field(default_factory=Markup)
     controls: bool = False  # buttons to pause and slow the videos
@@ -64,7 +64,7 @@ class Table:
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
-    caption: Words
+    caption: Inline
     styles: Sequence[str] = ()  # CSS class of each row
     left: int = 1  # how many leading columns are flush left
     kind: str = "table"
@@ -74,7 +74,7 @@ class Table:
 class Text:
     """A paragraph; `style` "note" sets it apart. `plain`: markup that is a block of its own, such as a list."""
 
-    words: Words
+    words: Inline
     style: str = ""
     plain: bool = False
     kind: str = "text"
@@ -105,11 +105,11 @@ class Page:
 
     title: str
     kicker: str
-    summary: Words
+    summary: Inline
     stats: Sequence[Stat]
     lead: Sequence[Block]  # between the headline figures and the first section
     sections: Sequence[Section]
-    footer: Words
+    footer: Inline
 
 
 def data_uri(kind: str, data: bytes) -> str:

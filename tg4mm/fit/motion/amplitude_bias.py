@@ -23,11 +23,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from tg4mm.core.memory import Buffers
 from tg4mm.fit.motion.jacobian.view import blend_sum, optical_flow
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.split_half import LEAST, mean_over_neighbours, wiener_shrink
 from tg4mm.fit.motion.temporal import TemporalModel
-from tg4mm.fit.rasterize.buffers import Buffers
 
 _SMOOTHING_PX = 1.5  # standard deviation
 _LARGEST = 3.0  # what is smaller than the pictures show by more was hardly found

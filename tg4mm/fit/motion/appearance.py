@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
-from tg4mm.core.memory import release
+from tg4mm.core.memory import Buffers, release
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian, along_and_across, colour_jacobian
 from tg4mm.fit.motion.linear_fit import Correction
@@ -20,7 +20,6 @@ from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.pcg import pcg
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.split_half import local_reliability, reliability
-from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.kernels.compiled import kernel
 from tg4mm.fit.rasterize.kernels.layout import FEAT
 

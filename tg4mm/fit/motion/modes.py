@@ -47,7 +47,7 @@ class AppearanceModes:
         return self.series.real.any(axis=1), self.series.imag.any(axis=1)
 
     def fits(self, n_frequencies: int, sh: tuple[int, ...]) -> bool:
-        """Whether shapes and types match a motion of so many frequencies and spherical harmonics [N, K', 3]."""
+        """Return whether shapes and types match a motion of so many frequencies and spherical harmonics [N, K', 3]."""
         if self.shapes.ndim != 4 or self.series.shape != (n_frequencies, len(self.shapes)):
             return False
         if self.shapes.dtype != np.float32 or self.series.dtype != np.complex128:

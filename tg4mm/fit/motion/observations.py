@@ -15,9 +15,8 @@ import numpy as np
 
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.model import FEWEST_FRAMES, FEWEST_MOVING
-from tg4mm.capture.pictures import FilePictures, MaskedPictures, Pictures, mask_of, over_white
+from tg4mm.capture.pictures import FilePictures, MaskedPictures, Pictures, Window, mask_of, over_white
 from tg4mm.capture.scene import codec_period
-from tg4mm.capture.window import Window
 from tg4mm.core.choices import Clock, Kind
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.progress import progress
@@ -96,7 +95,7 @@ class Observations:
 
     @cached_property
     def is_opaque(self) -> bool:
-        """Whether pictures show a background, by the first of each of up to four poses."""
+        """Return whether pictures show a background, by the first of each of up to four poses."""
         step = max(len(self.frames) // 4, 1)
         rows = [int(f.rows[0]) for f in self.frames[::step]]
         raw = self.pictures.strips(rows)
@@ -104,7 +103,7 @@ class Observations:
 
     @property
     def is_flat(self) -> bool:
-        """Whether one camera is all there is: it shows motion across its sight alone."""
+        """Return whether the capture is flat: one fixed camera, which shows only motion across its line of sight."""
         return not self.kind.sees_depth
 
     @property
@@ -260,7 +259,7 @@ def _frames(capture: Capture, rows: np.ndarray) -> PosedFrames:
 
 
 def _are_synchronous(frames: list[PosedFrames]) -> bool:
-    """Whether all cameras have the same times, to a tenth of a frame. Steps may differ: phones drop frames."""
+    """Return whether all cameras have the same times, to a tenth of a frame. Steps may differ: phones drop frames."""
     times = frames[0].times_s
     if any(len(f.times_s) != len(times) for f in frames):
         return False

@@ -128,7 +128,7 @@ def _solved(model: TemporalModel, checkpoint: Checkpoint) -> LinearSolution:
 
 
 def _moves_by_pixels(solution: LinearSolution) -> bool:
-    """Whether something before one fixed camera vibrates by more than what is linear."""
+    """Return whether one fixed camera sees vibration beyond the linear range."""
     model = solution.model
     is_put_back = (
         model.observations.is_flat and isinstance(model, Synchronous) and model.config.gauss_newton > 0

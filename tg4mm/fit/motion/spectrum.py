@@ -249,7 +249,7 @@ def _cycles(y: np.ndarray, clock: FrameClock) -> np.ndarray:
 
 
 def _is_better(unexplained: float, others: float, power: float, n_frames: int) -> bool:
-    """Whether one description leaves less of the power than another of no fewer parameters does, by BIC."""
+    """Return whether one description leaves less of the power than another of no fewer parameters does, by BIC."""
     if others - unexplained <= _WEAKEST * power:
         return False
     return n_frames * np.log(others / max(unexplained, 1e-300)) > _EVIDENCE

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from tg4mm.capture.window import Window
+from tg4mm.capture.pictures import Window
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.amplitude_bias import Gain, PictureGain

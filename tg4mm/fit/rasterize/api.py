@@ -14,7 +14,7 @@ from torch import Tensor
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.extras import install
-from tg4mm.fit.rasterize.buffers import Buffers
+from tg4mm.core.memory import Buffers
 from tg4mm.fit.rasterize.kernels.binning import Bins, bin_splats, gather_sums
 from tg4mm.fit.rasterize.kernels.blend import blend_forward
 from tg4mm.fit.rasterize.kernels.blend_backward import blend_backward

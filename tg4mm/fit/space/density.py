@@ -31,6 +31,7 @@ _SPREAD = (
 
 
 def is_due(iteration: int, until: float) -> bool:
+    """Return whether density control follows this iteration."""
     return iteration >= FIRST and iteration % EVERY == 0 and iteration < until
 
 
@@ -93,7 +94,7 @@ def control_density(
 
 
 def is_sorting_due(iteration: int, until: float) -> bool:
-    """Whether rows are brought into order after this round of density control: now and then, and after the last."""
+    """Return whether this round of density control ends with sorting the rows: every tenth does, and the last."""
     return iteration % (SORTED_EVERY * EVERY) == 0 or iteration + EVERY >= until
 
 

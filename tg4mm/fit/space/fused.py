@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tg4mm.fit.rasterize.buffers import Buffers
+from tg4mm.core.memory import Buffers
 from tg4mm.fit.rasterize.kernels.binning import bin_splats, gather_sums
 from tg4mm.fit.rasterize.kernels.blend import blend_forward
 from tg4mm.fit.rasterize.kernels.blend_backward import blend_backward

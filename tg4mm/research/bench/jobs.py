@@ -46,6 +46,7 @@ class TableLine:
 
 
 def job_folder(out: Path, data: BenchSet, method: Method) -> Path:
+    """Return the folder of a method's results on a dataset."""
     return Path(out) / "runs" / data.label / method.name
 
 

@@ -14,6 +14,7 @@ _N_CANDIDATES = 8  # triangles tried for the exact nearest point
 _N_PATCH = 24  # samples of the patch whose rotation is fitted
 _AT_ONCE = 20_000  # points, so that a large scene fits in memory
 _FLAT = 0.05  # of the largest variance; a direction with less has only the surface's curvature
+STATIC_BELOW = 0.01  # of the largest true motion; a Gaussian with less counts as static
 
 
 def exact_motion(truth: Truth, points: np.ndarray) -> ModalMotion:
@@ -177,9 +178,6 @@ def _foot(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np
     v = (np.cross(points - a, c - a) * normal).sum(1) / safe
     w = (np.cross(b - a, points - a) * normal).sum(1) / safe
     return np.where(flat[:, None], -1.0, np.stack([1.0 - v - w, v, w], axis=1))
-
-
-STATIC_BELOW = 0.01  # of the largest true motion; a Gaussian with less counts as static
 
 
 def displacement_figures(

@@ -40,6 +40,11 @@ from tg4mm.run import Run
 from tg4mm.run.log import FORMAT
 from tg4mm.run.preset import method_of
 
+COLUMNS = (("psnr_db", "PSNR dB ↑", "{:.2f}"), ("ssim", "SSIM ↑", "{:.4f}"), ("flip", "FLIP ↓", "{:.4f}"))
+LPIPS_COLUMN = ("lpips", "LPIPS ↓", "{:.4f}")
+VERSION = 1
+_HIGHER_IS_BETTER = {"psnr_db": True, "ssim": True, "flip": False, "lpips": False}
+
 
 def target_file(run: Run, out: Path | str | None) -> Path:
     """Return the file of the figures, and make its folder, so that errors appear before minutes of scoring."""
@@ -115,6 +120,7 @@ def image_metrics(
 
 
 def capture_with_truth(root: Path, alpha: int, absent: dict[str, str]) -> Capture | None:
+    """Return the test capture with its ground truth at α; None, noted in `absent`, without a test split."""
     if alpha:
         capture = load_capture(root, split="test", magnification=alpha)
         there = len(set(capture.timesteps.tolist()))
@@ -140,10 +146,6 @@ def fitting(metrics: Mapping[str, Metric], capture: Capture, absent: dict[str, s
     for name in small:
         absent[name.upper()] = f"images of {capture.width}×{capture.height} pixels, it needs {least[name]}²"
     return {m: f for m, f in metrics.items() if m not in small}
-
-
-COLUMNS = (("psnr_db", "PSNR dB ↑", "{:.2f}"), ("ssim", "SSIM ↑", "{:.4f}"), ("flip", "FLIP ↓", "{:.4f}"))
-LPIPS_COLUMN = ("lpips", "LPIPS ↓", "{:.4f}")
 
 
 def format_table(metrics: dict[str, Any]) -> str:
@@ -203,10 +205,6 @@ def _length(row: dict[str, Any], key: str) -> str:
 def _remarks(metrics: dict[str, Any]) -> list[str]:
     absent = [f"Not measured: {what}: {why}" for what, why in metrics["absent"].items()]
     return ["", *absent, *metrics["notes"]] if absent or metrics["notes"] else []
-
-
-VERSION = 1
-_HIGHER_IS_BETTER = {"psnr_db": True, "ssim": True, "flip": False, "lpips": False}
 
 
 def evaluate_run(

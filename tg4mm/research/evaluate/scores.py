@@ -30,6 +30,9 @@ Metric = Callable[[np.ndarray, np.ndarray], float]  # (image, truth) -> value
 Key = tuple[Any, ...]
 _CAMERAS_AT_ONCE = 8  # images held while one motion state is scored
 _THREADS = 2  # FLIP is parallel inside; a second thread overlaps it with SSIM
+STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
+_TIMES = 2.0  # error over its stated deviation that counts as within it
+_ONE_PERIOD = 0.99  # periods in the record that resolve a frequency
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class ScoredMotion:
 
     @cached_property
     def _parts(self) -> tuple[np.ndarray, np.ndarray]:
-        """Whether any Gaussian's phasor of mode k has a real part and an imaginary part: two [K] bool."""
+        """Return whether any Gaussian's phasor of mode k has a real part and an imaginary part: two [K] bool."""
         assert self.motion is not None
         both = np.concatenate([self.motion.displacement, self.motion.rotation], axis=2)
         has_re, has_im = both.real.any(axis=(1, 2)), both.imag.any(axis=(1, 2))
@@ -227,9 +230,6 @@ def regressed(products: np.ndarray) -> tuple[float | None, float | None]:
     return gain, float(np.sqrt(max(aa - gain * ac, 0.0) / cc))
 
 
-STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
-
-
 @dataclass(frozen=True)
 class Subject:
     """A run's Gaussians with their estimated and exact motion."""
@@ -255,6 +255,7 @@ class Subject:
 def subject_of(
     run: Run, capture: Capture, magnified: Magnification, absent: dict[str, str], device: str
 ) -> Subject:
+    """Return what is scored: the run's Gaussians and motion, and the exact motion if known; gaps go into `absent`."""
     gaussians = run.load_space()
     estimated = run.load_motion()
     if estimated is None:
@@ -350,10 +351,6 @@ def notes_of(subject: Subject) -> list[str]:
 
 def _hertz(frequencies: np.ndarray) -> str:
     return ", ".join(f"{f:g}" for f in frequencies) + " Hz"
-
-
-_TIMES = 2.0  # error over its stated deviation that counts as within it
-_ONE_PERIOD = 0.99  # periods in the record that resolve a frequency
 
 
 def uncertainty_figures(

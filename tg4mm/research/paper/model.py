@@ -24,6 +24,9 @@ from tg4mm.fit.space.config import MOST_ITERATIONS
 from tg4mm.research.paper.triplane import BASE, Decoder, TouchedCells, cells_of, sample
 from tg4mm.run import Run
 
+TRIPLANE = "triplane"
+_OWN = {"planes", "points", "box"}
+
 
 @dataclass(frozen=True)
 class PaperConfig:
@@ -110,10 +113,6 @@ def base_config(space: SpaceConfig, config: PaperConfig) -> SpaceConfig:
     return replace(space, iterations=config.warm_up)
 
 
-TRIPLANE = "triplane"
-_OWN = {"planes", "points", "box"}
-
-
 @dataclass(frozen=True)
 class PaperModel:
     """The scene at rest (timestep 0), and how embeddings become Gaussians."""
@@ -188,10 +187,12 @@ def with_active(planes: Tensor, cells: TouchedCells, values: Tensor) -> Tensor:
 
 
 def has_model(run: Run) -> bool:
+    """Return whether the run has a triplane model."""
     return run.has_part(TRIPLANE)
 
 
 def save_model(run: Run, model: PaperModel) -> None:
+    """Write the model into the run folder."""
     tensors = {"planes": model.planes, "points": model.points, "box": model.box}
     tensors |= {f"base.{k}": v for k, v in model.base.items()}
     tensors |= {f"decoder.{k}": v for k, v in model.decoder.parameters.items()}

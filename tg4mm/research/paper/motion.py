@@ -12,7 +12,7 @@ from tg4mm.core.errors import CaptureError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.core.phasors import series_modes
 from tg4mm.core.progress import Update, progress
-from tg4mm.core.work_folder import Checkpoint
+from tg4mm.core.work_folder import StageCheckpoint
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
@@ -39,7 +39,7 @@ class _Stage:
         run: Run,
         model: PaperModel,
         config: PaperConfig,
-        kept: Checkpoint,
+        kept: StageCheckpoint,
         device: str,
         first: "AtRest | None" = None,
     ) -> None:
@@ -94,7 +94,7 @@ def train_timesteps(
     Finished timesteps are kept, an unfinished one continues from its checkpoint. The log's stage `motion` gets seconds,
     peak_memory_mib, iterations (in all), iterations_per_timestep, l1_train (of the last), n_frequencies, mib_on_disk.
     """
-    kept = Checkpoint(run, _STAGE)
+    kept = StageCheckpoint(run, _STAGE)
     reset_peak_memory()
     reset_gpu_peak(device)
     first = at_rest(model, views_at(capture, images, 0)) if config.difference else None

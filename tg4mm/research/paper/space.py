@@ -14,7 +14,7 @@ from torch import Tensor
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.core.progress import Update, progress
-from tg4mm.core.work_folder import Checkpoint
+from tg4mm.core.work_folder import StageCheckpoint
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import RestViews, rest_views
@@ -26,6 +26,8 @@ from tg4mm.run import Run
 CHECKPOINT_EVERY_S = 20.0
 SHOW_EVERY_S = 0.25
 _STAGE = "triplane"
+# Gradients of single cells are far below Adam's usual 1e-8, which would slow them down; as in 3D Gaussian Splatting.
+_EPS = 1e-15
 
 
 def views_at(capture: Capture, images: ImageStack, t: int) -> RestViews:
@@ -46,6 +48,7 @@ def first_views(capture: Capture, images: ImageStack) -> RestViews:
 
 
 def cameras_on(views: RestViews, device: str) -> Cameras:
+    """Return viewmats [V, 4, 4], Ks [V, 3, 3] and pictures [V, H, W, 3] as tensors on the device."""
     a, b, c = (torch.from_numpy(x).to(device) for x in (views.viewmats, views.Ks, views.rgb))
     return a, b, c
 
@@ -88,7 +91,7 @@ def train_triplane(
 
     The log's stage `triplane` gets seconds, peak_memory_mib, iterations, l1_train, n_gaussians and sizes.
     """
-    kept = Checkpoint(run, _STAGE)
+    kept = StageCheckpoint(run, _STAGE)
     reset_peak_memory()
     reset_gpu_peak(device)
     model = started(base, config)
@@ -117,9 +120,6 @@ def train_triplane(
     kept.drop()
     return model
 
-
-# Gradients of single cells are far below Adam's usual 1e-8, which would slow them down; as in 3D Gaussian Splatting.
-_EPS = 1e-15
 
 Cameras = tuple[Tensor, Tensor, Tensor]  # viewmats [V, 4, 4], Ks [V, 3, 3], pictures [V, H, W, 3]
 
@@ -166,7 +166,7 @@ class Fit:
         self,
         cameras: Cameras,
         decoded: Callable[[dict[str, Tensor]], Gaussians],
-        kept: Checkpoint,
+        kept: StageCheckpoint,
         update: Update,
         before: int = 0,
         **state: int,

@@ -18,6 +18,16 @@ from torch.nn.functional import gelu, linear
 
 from tg4mm.fit.gaussians import Gaussians
 
+PLANES = ((0, 1), (0, 2), (1, 2))  # xy, xz, yz: the coordinates along columns and rows
+_OUTER = (0.5, 99.5)  # percentiles of the points that the box spans; points beyond lie on its border
+BASE = (
+    "means",
+    "quats",
+    "log_scales",
+    "logits",
+    "sh",
+)  # attributes before activation, in the order of the heads
+
 
 class _TriplaneSample(torch.autograd.Function):
     @staticmethod
@@ -98,10 +108,6 @@ def gather_back(
                 v_values[a, i] += w * v_out[n, at + i]
 
 
-PLANES = ((0, 1), (0, 2), (1, 2))  # xy, xz, yz: the coordinates along columns and rows
-_OUTER = (0.5, 99.5)  # percentiles of the points that the box spans; points beyond lie on its border
-
-
 @dataclass(frozen=True, eq=False)
 class TouchedCells:
     """A cells of three R×R planes, touched by N points; all indices are into the A compact cells.
@@ -162,15 +168,6 @@ def cells_of(points: np.ndarray, box: np.ndarray, resolution: int) -> TouchedCel
         plane=(order // (4 * n)).astype(np.int8),
         share=weight.ravel()[order],
     )
-
-
-BASE = (
-    "means",
-    "quats",
-    "log_scales",
-    "logits",
-    "sh",
-)  # attributes before activation, in the order of the heads
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,18 @@ from tg4mm.show.analyse.modal import from_transfers, mac, operational
 from tg4mm.show.analyse.orders import OrderTrack, orders_of, speed_of
 from tg4mm.show.analyse.quantities import Levels, Value, converted, levels_of, zone_of
 from tg4mm.show.analyse.record import compared, lines_of
-from tg4mm.show.analyse.spectra import Averaging, Density, density_of, waterfall_of
-from tg4mm.show.analyse.transfer import Curve, Transfer, curve_of, lag_of, phases_of, transfer_of
+from tg4mm.show.analyse.transfer import (
+    Averaging,
+    Curve,
+    Density,
+    Transfer,
+    curve_of,
+    density_of,
+    lag_of,
+    phases_of,
+    transfer_of,
+    waterfall_of,
+)
 
 __all__ = [
     "AnalyseError",

@@ -14,8 +14,7 @@ import numpy as np
 from tg4mm.core.even_clock import LONGEST, is_filled, on_even_clock, unrounded
 from tg4mm.core.lines import Line, find_lines
 from tg4mm.core.untrusted import read_json
-from tg4mm.show.analyse.clock import FEWEST, TIME_UNITS, timed
-from tg4mm.show.analyse.tables import AnalyseError, read_table
+from tg4mm.show.analyse.tables import FEWEST, TIME_UNITS, AnalyseError, read_table, timed
 from tg4mm.show.analyse.universal import is_universal, waveforms
 
 G = 9806.65  # mm/s²
@@ -40,6 +39,7 @@ _UNITS = _OTHERS | {
 }
 _LOG = logging.getLogger("tg4mm")
 _RESOLVED = 10.0  # times as uncertain as the best axis: beyond it an axis is left out
+_PLAIN = {"²": "2", "⁻": "-", "¹": "1", "^": "", "*": "", "µ": "u", "μ": "u", "·": " ", "sec": "s"}
 
 
 @dataclass(frozen=True)
@@ -236,9 +236,6 @@ def _of_uff(path: Path) -> list[Channel]:
     if not out:
         raise AnalyseError(f"{path}: all waveforms are constant")
     return out
-
-
-_PLAIN = {"²": "2", "⁻": "-", "¹": "1", "^": "", "*": "", "µ": "u", "μ": "u", "·": " ", "sec": "s"}
 
 
 def _plain_unit(text: str) -> str:

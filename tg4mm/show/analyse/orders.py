@@ -15,8 +15,8 @@ from scipy.interpolate import PchipInterpolator
 
 from tg4mm.show.analyse.channel import Channel
 from tg4mm.show.analyse.quantities import Value
-from tg4mm.show.analyse.spectra import Averaging
 from tg4mm.show.analyse.tables import AnalyseError, read_table
+from tg4mm.show.analyse.transfer import Averaging
 
 _HIGHEST = 0.45  # of the frame rate: orders beyond it are left out
 _TURNS = 3.0  # in a segment, at least
@@ -60,7 +60,7 @@ def speed_of(channel: Channel, text: str | None, tacho: Path | None) -> Speed:
     if text == "auto":
         if not channel.lines:
             raise AnalyseError(
-                f"--speed auto: no line stands out of {channel.name}; give revolutions per minute"
+                f"--speed auto: no line exceeds the noise of {channel.name}; give revolutions per minute"
             )
         hz, source = channel.lines[0].hz, f"the strongest line of {channel.name}"
     else:

@@ -12,8 +12,7 @@ from tg4mm.show.analyse.modal import Modes
 from tg4mm.show.analyse.orders import OrderTrack
 from tg4mm.show.analyse.quantities import ThirdOctave, converted
 from tg4mm.show.analyse.record import AnalysedRecord
-from tg4mm.show.analyse.spectra import Averaging, Density, waterfall_of
-from tg4mm.show.analyse.transfer import Curve, Transfer
+from tg4mm.show.analyse.transfer import Averaging, Curve, Density, Transfer, waterfall_of
 
 Figures = Iterator[tuple[str, Any]]
 

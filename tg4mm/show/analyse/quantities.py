@@ -91,11 +91,11 @@ def converted(
 
     Raises AnalyseError for a channel that is not a motion and another quantity, and for an integral from 0 Hz.
     """
-    operator = _Operator(channel, quantity, band, times)
+    operator = _BandOperator(channel, quantity, band, times)
     return operator(channel.values, 0.0), channel.noise * operator.noise_gain, operator.inner
 
 
-class _Operator:
+class _BandOperator:
     def __init__(self, channel: Channel, quantity: str, band: tuple[float, float] | None, times: int) -> None:
         is_same = quantity == channel.quantity
         if not is_same and (channel.quantity not in ORDER or quantity not in ORDER):
@@ -170,7 +170,7 @@ def levels_of(
     db_reference: float | None = None,
 ) -> Levels:
     """Return peak, peak to peak, rms, crest factor and dB of a channel as `quantity`, without the record's ends."""
-    operator = _Operator(channel, quantity, band, _UP if len(channel.values) <= _LONGEST else 1)
+    operator = _BandOperator(channel, quantity, band, _UP if len(channel.values) <= _LONGEST else 1)
     noise = float(np.nan_to_num(channel.noise))
     found = _figures(operator(channel.values, noise)[operator.inner])
     deviation = np.full(4, np.nan)

@@ -13,8 +13,7 @@ from tg4mm.core.untrusted import read_json
 from tg4mm.show.analyse.channel import ORDER, AnalyseError, Channel, length_of, read_channels, readable
 from tg4mm.show.analyse.orders import Speed, speed_of
 from tg4mm.show.analyse.quantities import Value
-from tg4mm.show.analyse.spectra import averaging_of
-from tg4mm.show.analyse.transfer import Transfer, lag_of, transfer_of
+from tg4mm.show.analyse.transfer import Transfer, averaging_of, lag_of, transfer_of
 from tg4mm.show.options import AnalyseOptions
 
 CHANCE = 0.01  # of a false detection among all differences

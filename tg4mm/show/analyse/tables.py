@@ -1,4 +1,7 @@
-"""Tables of numbers in text files of other programs: separators, heads, decimal marks, clock times, missing values."""
+"""Tables of numbers in text files of other programs: separators, heads, decimal marks, missing values, and times.
+
+`timed` finds which column holds times, in what unit, and which values belong to them.
+"""
 
 import csv
 import logging
@@ -11,6 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.even_clock import is_filled
 
 MOST_BYTES = 1 << 30
 _LOG = logging.getLogger("tg4mm")
@@ -31,6 +35,30 @@ _CLOCK = re.compile(
 _Item = TypeVar("_Item")
 # of a LabVIEW measurement file: its column of times, which may be empty, and their step, start and the others' unit
 _TIMES, _STEP, _START, _UNIT = "X_Value", "Delta_X", "X0", "Y_Unit_Label"
+FEWEST = 16  # samples of a channel
+TIME_UNITS = {
+    "s": 1.0, "ss": 1.0, "second": 1.0, "seconds": 1.0, "secs": 1.0, "ms": 1e-3, "milliseconds": 1e-3,
+    "us": 1e-6, "microseconds": 1e-6, "ns": 1e-9, "nanoseconds": 1e-9, "min": 60.0, "minutes": 60.0, "h": 3600.0,
+}  # fmt: skip
+_NAMES = {
+    *(
+        "t",
+        "time",
+        "times",
+        "second",
+        "seconds",
+        "sec",
+        "secs",
+        "timestamp",
+        "time stamp",
+        "datetime",
+        "date/time",
+    ),
+    *("date time", "elapsed", "elapsed time", "time elapsed", "seconds elapsed", "relative time", "x value"),
+    *("zeit", "zeitstempel", "uhrzeit", "temps", "tiempo", "tempo", "tijd"),
+}
+_INDICES = {"sample", "samples", "index", "no", "no.", "nr", "nr.", "n", "#", "row", "frame", "point", ""}
+_SINCE_1970 = 9e8, 5e9  # seconds, of times from 1998 to 2128
 
 
 class AnalyseError(Tg4mmError):
@@ -58,7 +86,7 @@ def read_table(path: Path) -> tuple[list[str], np.ndarray]:
     while body and not _holds_any(body[-1][1], kinds):
         body.pop()
     if not body:
-        raise AnalyseError(f"{path} holds no rows below a head")
+        raise AnalyseError(f"{path} holds no rows below a header")
     if left := len(rows) - first - len(body):
         _LOG.warning(f"{path}: its last lines hold no numbers: {left} left out, from row {rows[-left][0]} on")
     for number, row in body:
@@ -108,7 +136,7 @@ def _columns(
         names.append(name)
         columns.append(values)
     if not columns:
-        raise AnalyseError(f"{path} holds no rows below a head")
+        raise AnalyseError(f"{path} holds no rows below a header")
     if texts:
         _LOG.warning(f"{path}: columns without numbers are left out: {', '.join(texts)}")
     table = np.stack(columns, 1)
@@ -140,7 +168,7 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
         values = csv.reader((line for _, line in own), delimiter=mark, skipinitialspace=True)
         return [(k, row) for (k, _), row in zip(own, values, strict=True)]
     except (csv.Error, ValueError) as error:
-        raise AnalyseError(f"{path} is no CSV file: {error}") from None
+        raise AnalyseError(f"{path} is not a CSV file: {error}") from None
 
 
 def _middle(rows: Sequence[_Item]) -> Sequence[_Item]:
@@ -177,7 +205,7 @@ def _head(rows: list[tuple[int, list[str]]], width: int) -> list[str]:
 
 
 def _is_of_units(row: list[str]) -> bool:
-    """Whether a row below names says nothing but units: the first, of times, is one of seconds."""
+    """Return whether a row below names says nothing but units: the first, of times, is one of seconds."""
     return row[0].strip().strip("[]()").lower() in ("s", "ms", "us", "µs", "ns", "sec", "seconds")
 
 
@@ -192,7 +220,7 @@ def _kind_of(cells: Sequence[str]) -> str:
 
 
 def _holds_values(row: list[str], kinds: list[str]) -> bool:
-    """Whether a row is one of the table: all columns of numbers or times hold some, or nothing."""
+    """Return whether a row is one of the table: all columns of numbers or times hold some, or nothing."""
     own = [cell for cell, kind in zip(row, kinds, strict=False) if kind in ("number", "clock")]
     return (
         len(row) >= len(kinds) and _holds_any(row, kinds) and all(_is_value(c) or _is_missing(c) for c in own)
@@ -301,10 +329,81 @@ def _text(path: Path) -> str:
     data = path.read_bytes()
     encodings = ("utf-16",) if data.startswith((b"\xff\xfe", b"\xfe\xff")) else _ENCODINGS
     if b"\0" in data and encodings == _ENCODINGS:
-        raise AnalyseError(f"{path} is no CSV file: it holds null bytes")
+        raise AnalyseError(f"{path} is not a CSV file: it holds null bytes")
     for encoding in encodings:
         try:
             return data.decode(encoding)
         except UnicodeDecodeError as error:
             last = error
-    raise AnalyseError(f"{path} is no CSV file: {last}") from None
+    raise AnalyseError(f"{path} is not a CSV file: {last}") from None
+
+
+def timed(
+    path: Path, head: Sequence[tuple[str, str]], table: np.ndarray
+) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Return the times in seconds and the values, where they are known, of the columns that hold values.
+
+    head: names and units. A column belongs to the last column of times before it, as where each channel has its own
+    clock; else to the first. Raises AnalyseError where there are no times.
+    """
+    clocks = _clocks(path, head, table)
+    out, sparse = dict[int, tuple[np.ndarray, np.ndarray]](), list[str]()
+    for k, (name, _) in enumerate(head):
+        if k in clocks or _is_index(name, table[:, k]):
+            continue
+        times, values = clocks[max((at for at in clocks if at < k), default=min(clocks))], table[:, k]
+        known = np.isfinite(values) & np.isfinite(times)
+        if known.sum() < FEWEST <= len(known):
+            sparse += [f"{name} ({known.sum()})"] if name else []
+            continue
+        out[k] = times[known], values[known]
+    if sparse:
+        _LOG.warning(f"{path}: columns with fewer than {FEWEST} values are left out: {', '.join(sparse)}")
+    return out
+
+
+def _clocks(path: Path, head: Sequence[tuple[str, str]], table: np.ndarray) -> dict[int, np.ndarray]:
+    """Return the columns of times, in seconds, from the first if they count from 1970."""
+    named = [k for k, (name, _) in enumerate(head) if _is_name(name)]
+    named = named or [k for k, (_, unit) in enumerate(head) if unit in TIME_UNITS and _rises(table[:, k])]
+    if not named and not any(name for name, _ in head):
+        named = [
+            k for k in range(len(head)) if np.isfinite(table[:, k]).all() and not _is_index("", table[:, k])
+        ][:1]
+        if not named or not _rises(table[:, named[0]]) or not is_filled(table[:, named[0]]):
+            raise AnalyseError(
+                f"{path} has neither a header nor times in its first column: name a column time_s"
+            )
+        _LOG.warning(
+            f"{path}: has no header; its first column, which rises evenly, is taken as times in seconds"
+        )
+    if not named:
+        columns = ", ".join(f"{name} [{unit}]" if unit else name for name, unit in head)
+        raise AnalyseError(f"{path} has no column of times (time_s); its columns: {columns}")
+    return {k: _seconds(path, *head[k], table[:, k]) for k in named}
+
+
+def _seconds(path: Path, name: str, unit: str, times: np.ndarray) -> np.ndarray:
+    size = float(np.nanmedian(times))
+    since_1970 = [
+        factor for factor in (1.0, 1e-3, 1e-6, 1e-9) if _SINCE_1970[0] < size * factor < _SINCE_1970[1]
+    ]
+    if unit and unit not in TIME_UNITS:
+        raise AnalyseError(f"{path}: its times, {name}, are in {unit!r}; expected s, ms, us, ns, min or h")
+    factor = TIME_UNITS[unit] if unit else since_1970[0] if since_1970 else 1.0
+    if not unit and since_1970 and factor != 1:
+        _LOG.warning(f"{path}: its times, {name}, have no unit; they are taken as {factor:g} s since 1970")
+    return (times - times[0] if since_1970 else times) * factor
+
+
+def _is_name(name: str) -> bool:
+    return name.lower().replace("_", " ").strip("0123456789 ") in _NAMES
+
+
+def _rises(values: np.ndarray) -> bool:
+    return len(values) > 1 and bool((np.diff(values) >= 0).all() and values[-1] > values[0])
+
+
+def _is_index(name: str, values: np.ndarray) -> bool:
+    """Return whether a column numbers the rows."""
+    return name.lower() in _INDICES and len(values) > 1 and bool((np.diff(values) == 1).all())

@@ -1,4 +1,6 @@
-"""A second instrument beside the film: lag of its clock, transfer functions H1 and H2, coherence, phases.
+"""Averaged spectra of one record and of two: Welch's density with its interval, waterfall, H1 and H2, coherence.
+
+A second instrument beside the film has a clock of its own, whose lag is estimated first.
 
 The lag has the highest correlation of the film and an accelerometer, converted to the same quantity, if no other lag
 does nearly as well; then a and τ of y(t) = a x(t − τ) are fitted, and the lag's deviation is the effect of the
@@ -10,13 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import correlate, correlation_lags, csd, welch
+from scipy.signal import correlate, correlation_lags, csd, get_window, spectrogram, welch
+from scipy.stats import chi2
 
 from tg4mm.core.lines import fit_lines
 from tg4mm.show.analyse.channel import ORDER, AnalyseError, Channel
 from tg4mm.show.analyse.quantities import Value, band_of, continued, converted
-from tg4mm.show.analyse.spectra import Averaging
+from tg4mm.show.options import AveragingOptions
 
+_SEGMENTS = 9  # half segments in a record, where no length is given: eight averages
+_SHORTEST = 8  # samples of a segment
 _USED = 0.4  # of the slower rate: transfer functions end there
 _FEWEST = 32  # common samples of both records
 _SMOOTH = 15  # frequencies over which the residual's power is averaged
@@ -24,6 +29,89 @@ _FITS = 12
 _ALIKE = 0.95  # of the power that the best lag explains: another one that explains so much is equivalent
 _CHANCE = 0.01  # of a wrong lag
 _FREEDOMS = 2.5  # averages from which coherence gives a deviation
+
+
+@dataclass(frozen=True)
+class Averaging(AveragingOptions):
+    """Division of a record into segments: window (scipy's name), seconds (None: eight averages), share of overlap."""
+
+    def cut(self, channel: Channel) -> tuple[int, int]:
+        """Return the samples of a segment, and those that two share. Raises AnalyseError for a short record."""
+        n, usual = len(channel.values), max(_SHORTEST, 2 * len(channel.values) // _SEGMENTS)
+        length = usual if self.segment_s is None else round(self.segment_s * channel.rate)
+        if not 0 <= self.overlap < 1:
+            raise AnalyseError(f"--overlap {self.overlap:g}, expected 0 or more and below 1")
+        try:
+            get_window(self.window, 8)
+        except ValueError:
+            raise AnalyseError(f"--window {self.window!r} is unknown to scipy.signal.get_window") from None
+        if not _SHORTEST <= length <= n:
+            raise AnalyseError(
+                f"{channel.name}: a segment of {length} samples, expected {_SHORTEST} to the record's {n}"
+            )
+        return length, min(int(self.overlap * length), length - 1)
+
+    def count(self, channel: Channel) -> int:
+        """Return the number of segments."""
+        length, shared = self.cut(channel)
+        return 1 + (len(channel.values) - length) // (length - shared)
+
+    def freedom(self, channel: Channel) -> float:
+        """Return the degrees of freedom of the average's χ²; overlapping segments count less (Welch 1967)."""
+        (length, shared), count = self.cut(channel), self.count(channel)
+        window, step = get_window(self.window, length), length - shared
+        total = 1.0
+        for k in range(1, min(count, 1 + (length - 1) // step)):
+            rho = (window[: length - k * step] @ window[k * step :]) / (window @ window)
+            total += 2 * (1 - k / count) * rho**2
+        return 2 * count / total
+
+
+def averaging_of(options: AveragingOptions) -> Averaging:
+    """Return how the options of a command cut a record."""
+    return Averaging(options.window, options.segment_s, options.overlap)
+
+
+@dataclass(frozen=True)
+class Density:
+    """A one-sided density, unit² / Hz; low and high bound the truth in 95 records of 100, at each frequency."""
+
+    channel: str
+    unit: str
+    freqs_hz: np.ndarray  # [F]
+    density: np.ndarray  # [F]
+    low: np.ndarray  # [F]
+    high: np.ndarray  # [F]
+    noise: float  # density of the channel's noise; nan: not stated
+    averages: int
+    freedom: float
+
+
+def density_of(channel: Channel, averaging: Averaging | None = None, confidence: float = 0.95) -> Density:
+    """Return the power spectral density of a channel."""
+    averaging = averaging or Averaging()
+    length, shared = averaging.cut(channel)
+    freqs, power = welch(channel.values, channel.rate, averaging.window, length, shared)
+    freedom = averaging.freedom(channel)
+    tail = (1 - confidence) / 2
+    low, high = freedom / chi2.isf(tail, freedom), freedom / chi2.ppf(tail, freedom)
+    noise = 2 * channel.noise**2 / channel.rate
+    return Density(
+        channel.name, f"({channel.unit})²/Hz", freqs, power, power * low, power * high, noise,
+        averaging.count(channel), freedom,
+    )  # fmt: skip
+
+
+def waterfall_of(
+    channel: Channel, averaging: Averaging | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return Hz [F], seconds [S], and amplitudes [F, S], zero to peak, of each segment."""
+    averaging = averaging or Averaging()
+    length, shared = averaging.cut(channel)
+    freqs, times, power = spectrogram(
+        channel.values, channel.rate, averaging.window, length, shared, scaling="spectrum"
+    )
+    return freqs, times + channel.times_s[0], np.sqrt(2 * power)
 
 
 @dataclass(frozen=True)
@@ -50,7 +138,7 @@ def lag_of(response: Channel, reference: Channel) -> Value:
     """
     if reference.quantity not in ORDER:
         raise AnalyseError(
-            f"{reference.name} is {reference.quantity}, which does not show the lag: name an accelerometer of "
+            f"{reference.name} is {reference.quantity}, which cannot determine the lag: name an accelerometer of "
             "the same file with --sync, or give --lag"
         )
     lo = 2.0 / min(response.duration_s, reference.duration_s)
@@ -59,7 +147,7 @@ def lag_of(response: Channel, reference: Channel) -> Value:
     spline = CubicSpline(reference.times_s, converted(reference, reference.quantity, (lo, hi))[0])
     grid = np.arange(reference.times_s[0], reference.times_s[-1], 1 / response.rate)
     if min(len(grid), len(y)) < _FEWEST:
-        raise AnalyseError(f"{response.name}: under {_FEWEST} samples do not show the lag")
+        raise AnalyseError(f"{response.name}: under {_FEWEST} samples cannot determine the lag")
     x = spline(grid)
     cross, lags = correlate(y, x, "full"), correlation_lags(len(y), len(x))
     both = np.rint(correlate(np.ones(len(y)), np.ones(len(x)), "full"))

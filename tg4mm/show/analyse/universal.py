@@ -55,7 +55,7 @@ def waveforms(path: Path) -> list[TimeFunction]:
             elif number.startswith("58") and (one := _waveform(number, lines, content, metres)) is not None:
                 found.append(one)
     except (IndexError, OverflowError, ValueError, ZeroDivisionError) as error:
-        raise AnalyseError(f"{path} is no universal file that can be read: {error}") from None
+        raise AnalyseError(f"{path} is not a readable universal file: {error}") from None
     if not found:
         raise AnalyseError(f"{path} holds no waveform: no real function of time in a dataset 58")
     return found

@@ -18,6 +18,7 @@ from tg4mm.run import Run
 BAKED_PX2 = 0.3  # square pixels of a training picture
 _LOG = logging.getLogger("tg4mm")
 _MARGIN = 0.15  # of the picture's size; Gaussians so far outside may reach into it
+_NEARER = 0.9  # of the finest training sampling; a test view from among the training cameras is above 1
 
 
 def smoothing_variance(means: np.ndarray, capture: Capture) -> np.ndarray:
@@ -42,7 +43,7 @@ def smoothing_of(run: Run, warn: bool = True) -> np.ndarray | None:
     if not run.dataset.is_dir():
         if warn:
             _LOG.warning(
-                "%s, the dataset, is gone: scales are written as trained, thinner than Blender should draw them",
+                "%s, the dataset, is missing: scales are written as trained, thinner than Blender should draw them",
                 run.dataset,
             )
         return None
@@ -62,9 +63,6 @@ def lacking(
     if not seen.any() or np.median(own[seen] / np.maximum(variance[seen], 1e-300)) > _NEARER:
         return None
     return np.maximum(variance - own, 0.0)
-
-
-_NEARER = 0.9  # of the finest training sampling; a test view from among the training cameras is above 1
 
 
 def _sampled(

@@ -134,7 +134,7 @@ def splat_of(run: Run, low_pass: bool = True) -> SplatFile:
         gaussians, motion = _from_its_zero(gaussians, motion)
     deviation = None
     if motion is not None:
-        motion, deviation = _told(motion, run)
+        motion, deviation = _above_noise(motion, run)
     return to_splat(gaussians, motion, unit_scale_of(run), deviation, smoothing_of(run) if low_pass else None)
 
 
@@ -147,7 +147,7 @@ def _from_its_zero(gaussians: Gaussians, motion: ModalMotion) -> tuple[Gaussians
     return animate(gaussians, motion.selected(still), 0.0), motion.selected(~still)
 
 
-def _told(motion: ModalMotion, run: Run) -> tuple[ModalMotion, np.ndarray | None]:
+def _above_noise(motion: ModalMotion, run: Run) -> tuple[ModalMotion, np.ndarray | None]:
     """Return the modes above noise, and the standard deviations [K, N] of their amplitudes if known."""
     in_all, noise = run.load_uncertainty(), run.load_noise()
     keep = worth_keeping(motion, noise)
@@ -230,8 +230,8 @@ def write_frames(out: Path, suffix: str, write: Callable[[Path, SplatFile], None
     Raises RunError where the folder holds another sequence, or another process writes one there.
     """
     others = {"timesteps": "of other timesteps", "model": "of another model"}
-    folder = WorkFolder(out, RECORD, strangers="frame_*", others=others)
-    with folder.held("writes a sequence there"):
+    folder = WorkFolder(out, RECORD, foreign_files="frame_*", others=others)
+    with folder.locked("writes a sequence there"):
         folder.claim({**frames.request, "suffix": suffix, "timesteps": list(frames.timesteps)})
         for t, splat in frames.missing(out, suffix):
             write(out / f"frame_{t:04d}{suffix}", splat)

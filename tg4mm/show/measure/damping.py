@@ -17,9 +17,8 @@ from scipy.signal import get_window, welch
 
 from tg4mm.capture.codec import Loss
 from tg4mm.core.lines import FEWEST, Line, fit_lines
-from tg4mm.show.measure.orbit import orbit_of
 from tg4mm.show.measure.series import Series
-from tg4mm.show.measure.spectrum import Peak
+from tg4mm.show.measure.spectrum import Peak, orbit_of
 
 _SEGMENTS = 7, 15, 31, 63  # half-overlapping windows in the record
 _SHORTEST, _CYCLES = 32, 8.0  # of a window: samples, periods

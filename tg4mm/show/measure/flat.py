@@ -140,7 +140,7 @@ def _mask(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarray]) -
     if scene.observations.valid_mask is not None:
         out = out * scene.observations.valid_mask[0]
     if not out.any():
-        raise MeasureError(f"sensor {sensor}: holds no pixel that counts")
+        raise MeasureError(f"sensor {sensor}: covers no valid pixel")
     return out
 
 
@@ -166,7 +166,9 @@ def _measured(
 ) -> FlatSensor:
     frames = scene.observations.frames[0]
     if not np.trace(motion.noise.sum(0)[:2, :2]) > _TEXTURE * float((mask > 0).sum()):
-        raise MeasureError(f"sensor {sensor}: its pixels show no texture whose motion could be seen")
+        raise MeasureError(
+            f"sensor {sensor}: its pixels have no texture to measure motion by; enlarge or move it"
+        )
     body = _body(scene, frames, mask, motion)
     along = _pixels_along(frames, body, scene.observations.size)
     scale = px_per_unit(frames, body.centre)

@@ -115,7 +115,7 @@ class KeptPass:
 
     @property
     def is_there(self) -> bool:
-        """Whether the run has such a file, for any model."""
+        """Return whether the run has such a file, for any model."""
         return self.run.has_part(PART)
 
     def load(self, wanted: Wanted, n_frames: Mapping[str, int], n_gaussians: int) -> Kept | None:

@@ -111,7 +111,7 @@ def unit_scale(scale: Scale, scene: Prepared) -> float:
     if not scene.capture.kind.sees_depth:
         return scale.reference_m * float(scene.observations.frames[0].K[0, 0] / plane_depth(scene))
     if not scale.lengths:
-        raise MeasureError("a rectangle scales flat captures; mark a length, whose ends have depth here")
+        raise MeasureError("a rectangle gives the scale of flat captures only; mark a length instead")
     found = []
     for first, last, metres in scale.lengths:
         ends = [_point_at(scene, at) for at in (first, last)]
@@ -177,7 +177,7 @@ def corners_of(sensor: Sensor) -> np.ndarray:
 
 
 def _inside(sensor: Sensor, means: np.ndarray) -> np.ndarray:
-    """Whether each mean [N, 3] lies in a box or a sphere."""
+    """Return whether each mean [N, 3] lies in a box or a sphere."""
     if sensor.region == "sphere":
         away = np.linalg.norm(means - np.array(sensor.values[:3]), axis=1)
         return np.asarray(away <= sensor.values[3])

@@ -16,10 +16,9 @@ from tg4mm.fit.motion.observations import check_band_resolved
 from tg4mm.run import Run
 from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.show.measure.clusters import Clusters, clusters_of
-from tg4mm.show.measure.codec import with_losses
 from tg4mm.show.measure.flat import flat_sensors
 from tg4mm.show.measure.kept import HALVES
-from tg4mm.show.measure.limits import limits_of
+from tg4mm.show.measure.limits import limits_of, with_losses
 from tg4mm.show.measure.locate import (
     OF_ONE_CAMERA,
     body_of,
@@ -233,9 +232,9 @@ def _result(
     frames = scene.observations.frames
     scales = [px_per_unit(f, body.centre) for f in frames]
     best = int(np.argmax(scales))
-    between = scene.between if len(series) == 1 else None
+    b_frames = scene.b_frames if len(series) == 1 else None
     period = scene.observations.codec_period or (None if scene.video is None else USUAL_PERIOD)
-    return SensorResult(sensor, body, tuple(series), scales[best], frames[best].name, clips, period, between)
+    return SensorResult(sensor, body, tuple(series), scales[best], frames[best].name, clips, period, b_frames)
 
 
 def region_sensors(scene: Prepared, found: LookSummary) -> list[Sensor]:

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from tg4mm.capture.pictures import over_white
-from tg4mm.core.pages.charts import COLOURS
+from tg4mm.core.pages.charts import COLOURS, pyplot, save
 from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.core.progress import progress
 from tg4mm.show.maps import evenly
@@ -16,7 +16,6 @@ from tg4mm.show.measure.measurement import Measurement, MeasurementUnit, unit_of
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.sensors import STILL, file_name
 from tg4mm.show.measure.spectrum import is_resolved
-from tg4mm.show.plotting import pyplot, save
 from tg4mm.show.regions import COLOURS as REGION_COLOURS
 from tg4mm.show.regions import composite, write_labels
 from tg4mm.show.render.cameras import Camera

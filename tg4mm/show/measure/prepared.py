@@ -144,9 +144,9 @@ def _prepared(scene: Prepared, kept: KeptPass | None) -> Prepared:
     if len(scene.observations.frames) != 1:
         return scene
     root = scene.capture.root
-    between = between_frames(root, len(scene.observations.frames[0].rows))
+    b_frames = between_frames(root, len(scene.observations.frames[0].rows))
     look = None if scene.folder is None else look_of(Run.open(scene.folder))
-    return replace(scene, video=video_file(root), between=between, found=look)
+    return replace(scene, video=video_file(root), b_frames=b_frames, found=look)
 
 
 def _moving(scene: Prepared, kept: KeptPass | None) -> Prepared:

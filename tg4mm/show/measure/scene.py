@@ -92,7 +92,7 @@ class Prepared:
     slow: np.ndarray | None = None  # [S, F] functions of time that equal a moving camera's motion
     scale: Scale | None = None  # marked in the picture
     video: VideoFile | None = None  # of the one camera
-    between: np.ndarray | None = None  # [T] bool: its B-frames
+    b_frames: np.ndarray | None = None  # [T] bool: its B-frames
     found: LookSummary | None = None  # result of the look at the one camera's pictures
 
     @property
@@ -107,7 +107,7 @@ class Prepared:
 
     @property
     def is_moving(self) -> bool:
-        """Whether one moving camera took the pictures."""
+        """Return whether one moving camera took the pictures."""
         return self.observations.clock == Clock.moving
 
 

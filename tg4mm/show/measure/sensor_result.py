@@ -14,12 +14,20 @@ from tg4mm.core.lines import Line, fit_lines
 from tg4mm.core.lines.band import BandLine, tone_in
 from tg4mm.show.measure.clips import Together
 from tg4mm.show.measure.damping import Damping, damping_of, with_loss
-from tg4mm.show.measure.derivatives import Derivatives, derivatives_of, deviations_of
-from tg4mm.show.measure.orbit import Orbit, orbit_in, orbit_of
 from tg4mm.show.measure.rigid import RigidBody
 from tg4mm.show.measure.sensors import Sensor
-from tg4mm.show.measure.series import Series
-from tg4mm.show.measure.spectrum import Peak, Spectrum, spectrum_of, strength_of, with_band, with_sidebands
+from tg4mm.show.measure.series import Derivatives, Series, derivatives_of, deviations_of
+from tg4mm.show.measure.spectrum import (
+    Orbit,
+    Peak,
+    Spectrum,
+    orbit_in,
+    orbit_of,
+    spectrum_of,
+    strength_of,
+    with_band,
+    with_sidebands,
+)
 
 WORLD = "x", "y", "z"
 _SEGMENTS = 4  # of a record, half overlapping
@@ -84,7 +92,7 @@ class SensorResult:
     best_view: str  # name of that view
     together: Together | None = None  # of clips
     codec_period: int | None = None  # frames, of the video's compression
-    between: np.ndarray | None = None  # [T] bool: frames that the codec predicts from both sides
+    b_frames: np.ndarray | None = None  # [T] bool: frames that the codec predicts from both sides
     losses: tuple[Loss, ...] = ()  # for every peak, the part that compression let through; () if not tested
     # the same for decaying peaks when they are weaker by a factor e; () where nothing decays
     faded: tuple[Loss, ...] = ()
@@ -163,7 +171,7 @@ class SensorResult:
             found = self.together.spectrum
         else:
             own = self.series
-            found = spectrum_of(own.times_s, own.displacement, own.noise, own.model_share, self.between)
+            found = spectrum_of(own.times_s, own.displacement, own.noise, own.model_share, self.b_frames)
             if self.band is not None:
                 found = with_band(found, self.band, own.times_s, own.displacement, own.noise, own.model_share)
             found = replace(found, peaks=tuple(replace(p, correlation=own.correlation) for p in found.peaks))
@@ -198,7 +206,7 @@ class SensorResult:
         found = []
         for k in range(len(self.spectrum.peaks)):
             record = max(self.records, key=lambda r: strength_of(r.peaks[k]))
-            found.append(None if record.peaks[k].asked else damping_of(record.series, record.peaks[k]))
+            found.append(None if record.peaks[k].requested else damping_of(record.series, record.peaks[k]))
         return tuple(map(with_loss, found, self.losses, self.faded) if self.faded else found)
 
 

@@ -73,7 +73,7 @@ class Sensor:
         if self.region in OF_PICTURE and not self.camera:
             raise MeasureError(f"sensor {self.name}: expected {_FORMS[self.region]}, a camera is missing")
         if self.region == "cluster" and (v[0] < 0 or v[0] != int(v[0])):
-            raise MeasureError(f"sensor {self.name}: cluster {v[0]:g} is no number of a cluster")
+            raise MeasureError(f"sensor {self.name}: cluster {v[0]:g} is not the number of a cluster")
 
     def __str__(self) -> str:
         if self.region == "all":

@@ -1,4 +1,4 @@
-"""Amplitude spectrum of a sensor, its noise floor, the peaks above it, and their possible origins.
+"""Amplitude spectrum of a sensor, its noise floor, the peaks above it with their orbits, and their possible origins.
 
 The spectrum is 2 |Σ w_f u_f exp(−i 2πν t_f)| / Σ w_f with Hann's window w, so that a sinusoid has its amplitude, zero
 to peak, at its frequency. There, noise of standard deviation s_f has a Rayleigh distribution with the parameter
@@ -11,6 +11,12 @@ also be a sideband from a video codec. Every Pth frame is predicted forward, tho
 coarsely, so that a motion of f Hz also appears at k / (P Δt) ± f. H.264 of x264, P = 4: 3.4 Hz at 30 Hz made peaks at
 7.5 − 3.4 and 15 − 3.4 Hz, thirty times weaker (docs/measure.md). Where the codec removes most of a small motion, the
 rest is up to three times the sideband. Encoders without such a period make lines at these frequencies too.
+
+The orbit is the ellipse that a sensor traces at one frequency, in the directions that the cameras resolve. One camera
+hardly resolves its line of sight, and cameras that stand together hardly their common one. Such a direction would fill
+the main axis with its noise. So the covariance's eigenvectors are left out from the least certain one on: each that is
+within twice its deviation of 0, as long as it is more than twice as uncertain as the others together, or the main axis
+does not exceed twice its deviation. `Orbit.hidden` has these.
 """
 
 from collections.abc import Sequence
@@ -29,6 +35,7 @@ NEAR = 0.5  # of 1 / duration
 SURE = 3.0  # deviations
 USUAL_PERIOD = 4  # frames, for a video whose frame types show none
 WEAKER = 2.5  # times weaker than the vibration that causes it, at least
+TWICE = 2.0  # deviations: a smaller amplitude is not significant
 
 
 def frequency_grid(times_s: np.ndarray) -> np.ndarray:
@@ -72,7 +79,7 @@ def floor_factor(n_samples: int) -> float:
 
 
 def is_resolved(level: np.ndarray) -> np.ndarray:
-    """Whether each floor [3] is finite and at most ten times the lowest (one camera's sight is beyond that)."""
+    """Return whether each floor [3] is finite and at most ten times the lowest (one camera's sight is beyond that)."""
     finite = np.where(np.isfinite(level), level, np.inf)
     return np.isfinite(level) & (finite <= _UNRESOLVED * finite.min())
 
@@ -139,7 +146,7 @@ class Peak:
     line: Line | None = None  # along the observed axes; None for clips: steady
     harmonic: Harmonic | None = None  # a stronger peak of which this may be a harmonic
     sideband: Sideband | None = None  # a stronger peak from which a video codec may have made this
-    asked: BandLine | None = (
+    requested: BandLine | None = (
         None  # the tone in a requested band, which is not significant; None: a peak that was found
     )
     correlation: np.ndarray | None = None  # [A, A] of the axes' deviations; None: they are independent
@@ -190,7 +197,7 @@ def spectrum_of(
     values: np.ndarray,
     deviation: np.ndarray,
     model_share: np.ndarray | None = None,
-    between: np.ndarray | None = None,
+    b_frames: np.ndarray | None = None,
 ) -> Spectrum:
     """Return the spectrum of values [T, A] with noise of deviations [T, A] at times [T], even or uneven.
 
@@ -201,7 +208,7 @@ def spectrum_of(
     is_seen = np.isfinite(deviation).all(0)
     values = np.where(is_seen, values, 0.0)
     known = np.sqrt((deviation[:, is_seen] ** 2).mean(0))
-    found = find_lines(values[:, is_seen], times_s, known, between=between) if is_seen.any() else None
+    found = find_lines(values[:, is_seen], times_s, known, b_frames=b_frames) if is_seen.any() else None
     floor = np.full((len(grid), len(is_seen)), np.inf)
     factor = float(rayleigh(times_s, np.ones((len(times_s), 1)))[0]) * floor_factor(len(times_s))
     floor[:, is_seen] = factor * (known if found is None else np.maximum(known, _levels(found, grid)))
@@ -229,7 +236,7 @@ def with_band(
     known = np.sqrt((deviation[:, is_seen] ** 2).mean(0))
     tone = tone_in(values[:, is_seen], times_s, band, known)
     level = found.floor[int(np.abs(found.freqs_hz - tone.hz).argmin())]
-    peak = replace(_peak(tone, level, is_seen, model_share), asked=tone)
+    peak = replace(_peak(tone, level, is_seen, model_share), requested=tone)
     return replace(found, peaks=(*found.peaks, peak))
 
 
@@ -299,3 +306,86 @@ def _sideband_of(
                 if abs(seen_at(hz, fps) - peak.frequency_hz) < max(NEAR / duration_s, error):
                     return Sideband(carrier, other.frequency_hz, is_sum)
     return None
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A direction that is not resolved."""
+
+    direction: np.ndarray  # [A] unit vector
+    amplitude: float  # scene units, zero to peak
+    deviation: float
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """The ellipse of Re[m exp(iωt)]: m = exp(iφ) (major + i minor), with major ⟂ minor."""
+
+    major: np.ndarray  # [A] scene units: half axis, its largest component positive
+    minor: np.ndarray  # [A]
+    phase: float  # radians, φ: the major axis is passed at ωt = −φ
+    deviation: float = 0.0  # of the half axis, scene units
+    hidden: tuple[Hidden, ...] = ()
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit vector [A] along the major axis."""
+        return self.major / max(float(np.linalg.norm(self.major)), 1e-300)
+
+    @property
+    def amplitude(self) -> float:
+        """Amplitude along the major axis, scene units, zero to peak."""
+        return float(np.linalg.norm(self.major))
+
+    @property
+    def stands_out(self) -> bool:
+        """Return whether the half axis exceeds twice its deviation."""
+        return self.amplitude > TWICE * self.deviation
+
+
+def orbit_of(peak: Peak) -> Orbit:
+    """Return the orbit of a peak, in the resolved directions."""
+    return orbit_in(peak.phasor, peak.deviation, peak.is_resolved, peak.correlation)
+
+
+def orbit_in(
+    phasor: np.ndarray, deviation: np.ndarray, some: np.ndarray, correlation: np.ndarray | None = None
+) -> Orbit:
+    """Return the orbit of a phasor [A] along the axes `some` [A], with deviations [A] of correlation [A, A] or none."""
+    error = np.where(some, deviation, 0.0)
+    covariance = np.diag(error**2) if correlation is None else correlation * np.outer(error, error)
+    covariance[~some] = covariance[:, ~some] = 0
+    own = np.flatnonzero(some)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(own, own)])
+    directions = np.zeros((len(phasor), len(own)))
+    directions[own] = vectors
+    variances, along = np.maximum(values, 0), directions.T @ phasor
+    hidden: list[Hidden] = []
+    found = _ellipse(directions @ along, covariance)
+    for k in range(len(own) - 1, 0, -1):
+        size, sure = float(np.abs(along[k])), float(np.sqrt(variances[k]))
+        is_worse = variances[k] > TWICE**2 * variances[:k].sum()
+        if size > TWICE * sure or not (is_worse or not found.stands_out):
+            break
+        hidden.append(Hidden(directions[:, k], size, sure))
+        kept = directions[:, :k]
+        found = _ellipse(kept @ along[:k], kept * variances[:k] @ kept.T)
+    return Orbit(found.major, found.minor, found.phase, found.deviation, tuple(hidden))
+
+
+def _ellipse(m: np.ndarray, covariance: np.ndarray) -> Orbit:
+    """Turn the phasor m [A] so that its real and imaginary part are perpendicular."""
+    phase = 0.5 * float(np.angle((m**2).sum()))
+    turned = m * np.exp(-1j * phase)
+    major, minor = turned.real, turned.imag
+    if major[np.abs(major).argmax()] < 0:
+        major, minor, phase = -major, -minor, phase + np.pi
+    direction = major / max(float(np.linalg.norm(major)), 1e-300)
+    deviation = float(np.sqrt(max(direction @ covariance @ direction, 0.0)))
+    return Orbit(major, minor, float((phase + np.pi) % (2 * np.pi) - np.pi), deviation)
+
+
+def main_is_above(peak: Peak, orbit: Orbit) -> bool:
+    """Return whether a peak is a line, requested, or above the floor, and its main axis above twice its deviation."""
+    is_resolved = peak.line is not None or peak.requested is not None or bool(peak.is_above.any())
+    return is_resolved and orbit.stands_out

@@ -138,7 +138,7 @@ def _prepared(
     clock = SharedClock("", (0,), times_s, None, np.zeros((0, count)))
     return Prepared(
         fit, None, capture, observations, modal, (), (clock,), np.zeros(0), video=VideoFile(path, 0.0, tuple(repeats)),
-        between=is_between if is_between.any() else None, notes=tuple(filter(None, [_shake(pictures)])),
+        b_frames=is_between if is_between.any() else None, notes=tuple(filter(None, [_shake(pictures)])),
     )  # fmt: skip
 
 
@@ -160,7 +160,7 @@ def looked_at(scene: Prepared) -> LookSummary:
 
 
 def _shake(pictures: GreyPictures) -> str:
-    """What to say of a camera that does not stand still; empty where it does."""
+    """Return a note about a camera that moves; empty if it stands still."""
     mean = pictures.data.mean(0, dtype=np.float32)[..., None]
     blocks = BlockShifts.of(mean, len(pictures.data))
     height, step = len(mean), max(1, _STRIP // pictures.data[:, 0].size)

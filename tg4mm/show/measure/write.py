@@ -13,13 +13,12 @@ from tg4mm.core.progress import progress
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.show.measure.clips import ClipPhases
 from tg4mm.show.measure.measurement import Measurement, unit_of
-from tg4mm.show.measure.orbit import main_is_above
 from tg4mm.show.measure.plots import PLOTS, parts_picture, write_plots
 from tg4mm.show.measure.sensor_result import SensorRecord, SensorResult
 from tg4mm.show.measure.sensors import MeasureError
 from tg4mm.show.measure.shapes import write_animations
-from tg4mm.show.measure.table import format_table
-from tg4mm.show.measure.tables import write_csv_files, write_hdf5, write_mat, write_xlsx
+from tg4mm.show.measure.spectrum import main_is_above
+from tg4mm.show.measure.tables import format_table, write_csv_files, write_hdf5, write_mat, write_xlsx
 from tg4mm.show.measure.uff import write_uff
 
 MARK = "measure.json"
@@ -210,7 +209,7 @@ def _peak(result: SensorResult, k: int) -> dict[str, Any]:
         "orbit": {"major": orbit.major.tolist(), "minor": orbit.minor.tolist(), "phase_rad": orbit.phase},
         "damping_ratio": getattr(damping, "ratio", None),
         "damping_deviation": getattr(damping, "deviation", None),
-        **({} if peak.asked is None else {"asked_band_hz": list(peak.asked.band)}),
+        **({} if peak.requested is None else {"asked_band_hz": list(peak.requested.band)}),
     }
 
 

@@ -96,7 +96,7 @@ def capture_path(capture: Capture) -> tuple[Camera, ...]:
     Raises CaptureError for one timestep, and if a timestep has pictures from several poses or from none.
     """
     if capture.n_timesteps < 2:
-        raise CaptureError(f"{capture.root}: has one timestep, which is no path")
+        raise CaptureError(f"{capture.root}: has one timestep: there is no camera path to follow")
     cameras = []
     for t in range(capture.n_timesteps):
         rows = np.flatnonzero((capture.timesteps == t) & np.isfinite(capture.times_s))
@@ -104,7 +104,7 @@ def capture_path(capture: Capture) -> tuple[Camera, ...]:
         if len(poses) != 1:
             what = "no picture" if not poses else f"pictures from {len(poses)} poses"
             raise CaptureError(
-                f"{capture.root}: timestep {t} has {what}: --path capture is of one camera; choose --split or --orbit"
+                f"{capture.root}: timestep {t} has {what}: --path capture needs one camera; choose --split or --orbit"
             )
         i = int(rows[0])
         name = f"r_{t:03d}"
@@ -120,11 +120,15 @@ def look_at_point(viewmats: np.ndarray) -> np.ndarray:
     positions, forward = optical_axes(viewmats)
     normal, right = nearest_point_equations(positions, forward)
     if np.linalg.cond(normal) > 1e6:
-        raise RunError(f"the {len(viewmats)} cameras look in one direction only: no point to orbit around")
+        raise RunError(
+            f"the {len(viewmats)} cameras look in one direction, so there is no point to orbit around"
+        )
     point = np.linalg.solve(normal, right)
     ahead = np.einsum("ci,ci->c", point - positions, forward)
     if np.mean(ahead > 0) <= 0.5:
-        raise RunError(f"only {np.mean(ahead > 0):.0%} of the cameras look inwards: no point to orbit around")
+        raise RunError(
+            f"only {np.mean(ahead > 0):.0%} of the cameras look inwards: there is no point to orbit around"
+        )
     return point
 
 

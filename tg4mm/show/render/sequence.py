@@ -133,7 +133,7 @@ def _render(
     if videos:
         check_rate(rate)
     folder = work_folder(out)
-    with folder.held("renders into it"):
+    with folder.locked("renders into it"):
         folder.claim(record(run, request, cameras, kind))
         what = "rendering" if kind == "sequence" else kind
         render_missing(jobs, close_up(run, pose), request, f"{what}, α = {request.label}")
@@ -204,7 +204,7 @@ def _video_once(path: Path, pictures: Sequence[Path], fps: float) -> None:
 def work_folder(out: Path) -> WorkFolder:
     """Return OUT as the folder of a request, which OUT/render.json records."""
     others = {"cameras": "from other cameras", "model": "of another model"}
-    return WorkFolder(out, RECORD, strangers="**/*.png", others=others)
+    return WorkFolder(out, RECORD, foreign_files="**/*.png", others=others)
 
 
 def record(run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: str) -> dict[str, Any]:

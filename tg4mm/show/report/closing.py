@@ -10,17 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.digits import number, size_text
 from tg4mm.core.files import to_json
-from tg4mm.core.pages import svg
-from tg4mm.core.pages.charts import CEILING, OURS, STILL, chart
+from tg4mm.core.pages.charts import CEILING, OURS, STILL, chart, colour_bar
 from tg4mm.core.pages.page import Block, Commands, Figure, Section, Table, Text, drawing, picture
-from tg4mm.core.pages.svg import number, size_text
 from tg4mm.run.preset import preset_of
+from tg4mm.show.maps import difference_maps
 from tg4mm.show.measure import Sensor
 from tg4mm.show.report.figures import map_picture
 from tg4mm.show.report.summary import Material, both_lengths, clock
 from tg4mm.show.result.model import unit_of
-from tg4mm.show.slices import difference_maps
 
 _METHODS = (
     ("nothing moves", "still", STILL),
@@ -136,7 +135,7 @@ def _differences(m: Material) -> Block:
         "colour channels), all on one scale. Bright is where the picture changes. The rows should agree; light in the "
         "first that is not in the second is motion that is not there."
     )
-    legend = svg.colour_bar(top, "of full scale", "change of intensity")
+    legend = colour_bar(top, "of full scale", "change of intensity")
     return Figure(panels, caption, columns=count, legend=legend)
 
 

@@ -11,14 +11,18 @@ from PIL import Image, ImageDraw
 
 from tg4mm.core.choices import Clock
 from tg4mm.core.colour import STILL, amount_colours, phase_colours, phase_share
+from tg4mm.core.digits import number
 from tg4mm.core.pages.page import Block, Figure, FigurePanel, Text, film, missing, picture
-from tg4mm.core.pages.svg import number
 from tg4mm.core.pictures.decode import to_bytes
+from tg4mm.show.maps import Axis, most_moving_line, space_time_slice
 from tg4mm.show.render.video import loops_to_last, write_mp4
 from tg4mm.show.report.summary import Material
-from tg4mm.show.slices import Axis, most_moving_line, space_time_slice
 
 MARK = (217, 72, 15)
+_MOST = 2_500_000  # bytes of one clip
+_LARGEST, _SMALLEST = 720, 240  # pixels of the longer side
+_SCREEN = 60.0  # pictures a second of a screen
+_SLOWED = 30.0
 
 
 @dataclass(frozen=True)
@@ -156,12 +160,6 @@ def _stills(m: Material) -> list[Block]:
         "The {split} camera <code>{camera}</code> at timestep 0. There is no motion to play."
     ).format(split=m.view.split, camera=m.view.camera.name)
     return [Figure(panels, caption)]
-
-
-_MOST = 2_500_000  # bytes of one clip
-_LARGEST, _SMALLEST = 720, 240  # pixels of the longer side
-_SCREEN = 60.0  # pictures a second of a screen
-_SLOWED = 30.0
 
 
 def playing_rate(fps: float) -> float:

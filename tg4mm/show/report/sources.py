@@ -28,6 +28,9 @@ from tg4mm.show.result.reading import ResultSources
 
 METRICS = "metrics.json"
 Evaluate = Callable[[Run], dict[str, Any]]  # scores against the ground truth, as metrics.json holds them
+MOST_FRAMES = 180  # of a video: what a page can hold
+_MANY = 40  # poses of a moving camera that are compared
+_BYTES = 1 << 29  # of uncompressed pictures of one video
 
 
 @dataclass(frozen=True)
@@ -62,9 +65,9 @@ def choose_alpha(
     if reading.motion is None or not len(reading.motion.freqs_hz):
         return 0.0, ""
     gains = (magnified.inside(reading.motion.freqs_hz) & reading.motion.is_magnified()).astype(float)
-    reach = reading.reach(gains)
-    assert reach is not None  # there is a motion
-    alpha = suggested_alpha(replace(reach, noise_px=noise_px), reading.capture)
+    limits = reading.limits(gains)
+    assert limits is not None  # there is a motion
+    alpha = suggested_alpha(replace(limits, noise_px=noise_px), reading.capture)
     why = (
         "α was chosen so that the largest motion spans at most 4 % of the picture's shorter side, as long as its noise "
         "stays below a pixel and parts turn by less than half a radian"
@@ -95,10 +98,6 @@ def contact_images(train: Capture, most: int = 30) -> list[np.ndarray]:
     first = np.sort(np.unique(train.camera_ids, return_index=True)[1])
     return list(_pictures(train, first[evenly(len(first), most)]))
 
-
-MOST_FRAMES = 180  # of a video: what a page can hold
-_MANY = 40  # poses of a moving camera that are compared
-_BYTES = 1 << 29  # of uncompressed pictures of one video
 
 Pose = Callable[[float], Gaussians]
 

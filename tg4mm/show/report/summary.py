@@ -10,8 +10,8 @@ from markupsafe import Markup
 
 from tg4mm.capture import Capture
 from tg4mm.core.choices import Clock
+from tg4mm.core.digits import number
 from tg4mm.core.pages.page import Block, Section, Stat, Table, Text
-from tg4mm.core.pages.svg import number
 from tg4mm.core.phasors import main_direction
 from tg4mm.run import Run
 from tg4mm.show.measure import Measurement
@@ -197,8 +197,8 @@ def vibrations_table(m: Material) -> list[Block]:
     """Return a table of all vibrations; [] without any."""
     if not m.result.vibrations:
         return []
-    place = "largest at pixel" if m.result.is_flat else "largest at (x, y, z)"
-    header = ["frequency (Hz)", "amplitude", "in pictures", "damping ratio", place, "band (Hz)"]
+    position = "largest at pixel" if m.result.is_flat else "largest at (x, y, z)"
+    header = ["frequency (Hz)", "amplitude", "in pictures", "damping ratio", position, "band (Hz)"]
     caption = (
         "Vibrations that the run found, the strongest first: peak displacement where it is largest (1 % of the visible "
         "moves further), ± one standard deviation. The band, given as --band, magnifies one alone."
@@ -210,11 +210,11 @@ def _row(m: Material, v: Vibration) -> list[str]:
     value, unit = size_of(v, m.result)
     pixels = "–" if v.pixels is None else f"{with_deviation(v.pixels)} px"
     damping = percent(v.damping, v.damping_deviation)
-    place = ", ".join(f"{c:.3g}" for c in v.place)
-    if v.place_px is not None:
-        place = f"{v.place_px[0]:.0f}, {v.place_px[1]:.0f}"
+    position = ", ".join(f"{c:.3g}" for c in v.position)
+    if v.position_px is not None:
+        position = f"{v.position_px[0]:.0f}, {v.position_px[1]:.0f}"
     hz = with_deviation(Length(v.hz, v.deviation_hz))
-    return [hz, f"{value} {unit}", pixels, damping, place, f"{v.band[0]:g} to {v.band[1]:g}"]
+    return [hz, f"{value} {unit}", pixels, damping, position, f"{v.band[0]:g} to {v.band[1]:g}"]
 
 
 def limits_section(m: Material) -> Section:

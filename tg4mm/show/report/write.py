@@ -25,9 +25,8 @@ from tg4mm.show.options import ReportOptions
 from tg4mm.show.regions import REGIONS_ALT, composite_figure, region_picture
 from tg4mm.show.report.closing import accuracy_section, commands_section, cost_section, settings_section
 from tg4mm.show.report.figures import videos
-from tg4mm.show.report.sections import capture_section, motion_section
+from tg4mm.show.report.sections import capture_section, measured, motion_section, sensors_section
 from tg4mm.show.report.sources import choose_alpha, contact_images, gather_view, load_model, metrics_of
-from tg4mm.show.report.spectra import measured, sensors_section
 from tg4mm.show.report.summary import Material, limits_section, stats, summary
 from tg4mm.show.result.model import Length, percent, title_of, with_deviation
 from tg4mm.show.result.read import result_from
@@ -47,6 +46,7 @@ _PROGRAMS = "Google/Chrome/Application/chrome.exe", "Microsoft/Edge/Application/
 _APPLICATIONS = "Google Chrome", "Chromium", "Microsoft Edge"
 _LONGEST = 300  # seconds
 _LOG = logging.getLogger("tg4mm")
+_HEADER = ["frequency (Hz)", "amplitude (px)", "damping ratio", "around pixel (x, y)", "change", "remark"]
 
 
 def printer() -> str:
@@ -91,10 +91,12 @@ def print_pdf(page: Path, browser: str) -> Path:
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST, check=False)
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise RunError(f"{out}: {browser} did not print: {error}") from None
+            raise RunError(f"{out}: {browser} failed to print the PDF: {error}") from None
         if done.returncode or not printed.is_file():
             why = done.stderr.strip().splitlines()[-1:] or ["no message"]
-            raise RunError(f"{out}: {browser} did not print (exit code {done.returncode}): {why[0]}")
+            raise RunError(
+                f"{out}: {browser} failed to print the PDF (exit code {done.returncode}): {why[0]}"
+            )
         write_atomic(out, partial(shutil.copyfile, printed))
     return out
 
@@ -181,9 +183,6 @@ def _page(m: Material, files: Mapping[str, Path], options: ReportOptions) -> Pag
         footer=f"tg4mm {__version__}. Preset {m.run.preset}. Run {m.run.path}. Model SHA-256 "
         f"{model_hash(m.run.path)}. docs/protocol.md defines displacement error, ceiling and the other scores.",
     )
-
-
-_HEADER = ["frequency (Hz)", "amplitude (px)", "damping ratio", "around pixel (x, y)", "change", "remark"]
 
 
 def regions_section(m: Material) -> list[Section]:

@@ -8,16 +8,17 @@ from tg4mm.capture import Capture
 from tg4mm.capture.transforms import SPLITS
 from tg4mm.run import Run
 from tg4mm.show.result.model import Band, Vibration
-from tg4mm.show.result.reading import Reach
+from tg4mm.show.result.reading import MagnificationLimits
 
 _SHOWN = 0.04  # share of the picture's shorter side that is easy to see
 _STEPS = (1.0, 2.0, 5.0)
 _MOST, _DEFAULT = 500.0, 20.0
 _ORBIT = 90  # pictures
 _MANY = 60  # cameras; rendering more of the training split takes hours
+_DEVIATIONS = 3.0
 
 
-def suggested_alpha(reach: Reach | None, capture: Capture | None) -> float:
+def suggested_alpha(limits: MagnificationLimits | None, capture: Capture | None) -> float:
     """Return a round α (1, 2, 5, 10 …) at which the motion is easy to see and within its limits.
 
     It is the default of result, report, viewer and page: the largest motion spans 4 % of the picture's shorter side,
@@ -25,12 +26,12 @@ def suggested_alpha(reach: Reach | None, capture: Capture | None) -> float:
 
     reach: of the unmagnified motion.
     """
-    if reach is None or reach.pixels is None or capture is None:
+    if limits is None or limits.pixels is None or capture is None:
         return _DEFAULT
     wanted = 1 + _DEFAULT
-    if reach.pixels > 0:
-        wanted = _SHOWN * min(capture.width, capture.height) / reach.pixels
-    most = min(wanted, 1 / reach.too_far if reach.too_far > 0 else _MOST, _MOST + 1) - 1
+    if limits.pixels > 0:
+        wanted = _SHOWN * min(capture.width, capture.height) / limits.pixels
+    most = min(wanted, 1 / limits.too_far if limits.too_far > 0 else _MOST, _MOST + 1) - 1
     round_ones = [step * 10**power for power in range(3) for step in _STEPS]
     return max((a for a in round_ones if a <= max(most, 1.0)), default=1.0)
 
@@ -54,25 +55,22 @@ def _cameras(capture: Capture | None) -> list[str]:
     return ["--split", "train"] if few else ["--orbit", str(_ORBIT)]
 
 
-_DEVIATIONS = 3.0
-
-
 def suggested_bands(
     hz: Sequence[float],
     deviations_hz: Sequence[float],
     duration_s: float,
     fps: float,
-    reach_hz: Sequence[float] | None = None,
+    half_widths_hz: Sequence[float] | None = None,
 ) -> list[Band]:
     """Return a band for each of the frequencies [K], in order, that contains none of the others.
 
     It reaches one step of the record's resolution, 1 / duration, to either side, as a sinusoid's bins do; further for
-    lines that ring down (`reach_hz`), and for a frequency with a deviation over a third of that. It ends half-way to
-    the next frequency, above 0 Hz and below half the frame rate, at round numbers.
+    lines that ring down (`half_widths_hz`) and for frequencies with a deviation over a third of that. It ends half-way
+    to the next frequency, above 0 Hz and below half the frame rate, at round numbers.
     """
     out = []
-    for f, deviation, reach in zip(hz, deviations_hz, reach_hz or [0.0] * len(hz), strict=True):
-        half = max(1 / duration_s, reach, _DEVIATIONS * deviation)
+    for f, deviation, width in zip(hz, deviations_hz, half_widths_hz or [0.0] * len(hz), strict=True):
+        half = max(1 / duration_s, width, _DEVIATIONS * deviation)
         low = max([f - half, 0.5 / duration_s, *((f + other) / 2 for other in hz if other < f)])
         high = min([f + half, 0.999 * fps / 2, *((f + other) / 2 for other in hz if other > f)])
         out.append(_rounded(low, high, f))

@@ -45,9 +45,9 @@ def looked_vibrations(
     out = []
     for line, depth in zip(lines, depths or [1.0] * len(lines), strict=True):
         sight = np.linalg.solve(K, [*line.centre_px, 1.0]) * depth
-        place = viewmat[:3, :3].T @ (sight - viewmat[:3, 3])
-        made = _vibration(line, place, depth / K[0, 0], bands[line.hz])
-        out.append(replace(made, place_px=line.centre_px) if depths is None else made)
+        position = viewmat[:3, :3].T @ (sight - viewmat[:3, 3])
+        made = _vibration(line, position, depth / K[0, 0], bands[line.hz])
+        out.append(replace(made, position_px=line.centre_px) if depths is None else made)
     return tuple(out)
 
 
@@ -66,14 +66,14 @@ def depths_of(reading: ResultSources, found: LookSummary, capture: Capture) -> l
     return out
 
 
-def _vibration(line: LookLine, place: np.ndarray, unit: float, band: tuple[float, float]) -> Vibration:
+def _vibration(line: LookLine, position: np.ndarray, unit: float, band: tuple[float, float]) -> Vibration:
     """Return the vibration of a line; `unit` is a pixel's size in scene units."""
     pixels = Length(line.amplitude_px, line.amplitude_deviation_px, bool(line.lost))
     return Vibration(
         hz=line.hz,
         deviation_hz=line.hz_deviation,
         amplitude=pixels.times(unit),
-        place=(float(place[0]), float(place[1]), float(place[2])),
+        position=(float(position[0]), float(position[1]), float(position[2])),
         pixels=pixels,
         damping=line.damping,
         damping_deviation=line.damping_deviation,

@@ -16,6 +16,14 @@ from tg4mm.fit.motion.observations import CLEAR_PERIODS
 Band = tuple[float, float]  # low and high, Hz, both ends inside
 _SURE = 2.0  # deviations that a frequency is from 0 Hz, else it is a drift
 _FREE = 8  # samples that a fit needs beside four for each line
+_MOST = 4  # vibrations
+_INDENT = "  "
+_WIDTH = 20
+WHY_NO_DAMPING = {
+    "steady": "the amplitude stays constant during the record",
+    "grows": "the amplitude grows during the record",
+    "varies": "the amplitude rises and falls during the record",
+}
 
 
 @dataclass(frozen=True)
@@ -39,13 +47,13 @@ class Vibration:
     hz: float
     deviation_hz: float
     amplitude: Length  # scene units: the largest displacement from the middle, 99th percentile of the visible
-    place: tuple[float, float, float]  # its position at rest, scene units
+    position: tuple[float, float, float]  # its position at rest, scene units
     pixels: Length | None  # the same in the pictures, 99th percentile of the visible; None without a dataset
     why_no_damping: str  # "" with a damping
     band: Band  # suggested for --band
     damping: float | None = None  # ratio to the critical; None: not determined
     damping_deviation: float | None = None
-    place_px: tuple[float, float] | None = None  # in the picture of a flat capture, right and down
+    position_px: tuple[float, float] | None = None  # in the picture of a flat capture, right and down
     begins_s: float | None = None  # its start in the record; None: before it
     doubt: str = ""  # why it may not be a vibration
 
@@ -74,7 +82,7 @@ class Result:
 
     @property
     def is_flat(self) -> bool:
-        """Whether lengths are pixels of one picture and nothing else."""
+        """Return whether lengths are pixels of one picture and nothing else."""
         return self.kind is not None and not self.kind.sees_depth
 
     @property
@@ -86,11 +94,6 @@ class Result:
     def duration_s(self) -> float:
         """The duration of the record."""
         return self.n_timesteps / self.fps
-
-
-_MOST = 4  # vibrations
-_INDENT = "  "
-_WIDTH = 20
 
 
 def lines_of(result: Result) -> list[str]:
@@ -146,8 +149,8 @@ def _vibration(v: Vibration, result: Result) -> list[str]:
         lengths.append(f"{with_deviation(v.amplitude)} scene units")
     if result.unit_scale_m is not None:
         lengths.append(" ".join(amount(v.amplitude, result.unit_scale_m)))
-    where = ", ".join(f"{c:.3g}" for c in v.place)
-    near = f"({where})" if v.place_px is None else f"pixel {v.place_px[0]:.0f}, {v.place_px[1]:.0f}"
+    where = ", ".join(f"{c:.3g}" for c in v.position)
+    near = f"({where})" if v.position_px is None else f"pixel {v.position_px[0]:.0f}, {v.position_px[1]:.0f}"
     damping = f"not determined: {v.why_no_damping}"
     if v.damping is not None:
         damping = f"ratio {percent(v.damping, v.damping_deviation)}"
@@ -224,7 +227,7 @@ def line_near(
     hz: float,
     others: Sequence[float],
     noise: float,
-    between: np.ndarray | None = None,
+    b_frames: np.ndarray | None = None,
 ) -> Line | None:
     """Return the line of a series [T] to which a mode at `hz` belongs; None if the record is too short.
 
@@ -238,7 +241,7 @@ def line_near(
         return None
     near = [
         (abs(line.hz - hz), line)
-        for line in find_lines(series, times, least, between=between).lines
+        for line in find_lines(series, times, least, b_frames=b_frames).lines
         if abs(line.hz - hz) < max(fps / n, abs(line.decay_per_s) / np.pi)
     ]
     if near:
@@ -246,23 +249,16 @@ def line_near(
     return fit_lines(series, times, [hz, *others], least).lines[0]
 
 
-def phasors_at(motion: ModalMotion, line: Line, between: np.ndarray | None = None) -> np.ndarray:
+def phasors_at(motion: ModalMotion, line: Line, b_frames: np.ndarray | None = None) -> np.ndarray:
     """Return every Gaussian's phasors [N, 3] at the line's maximum, scene units, from a fit to the modes' series."""
     some = np.arange(motion.n_timesteps)
-    some = some if between is None else some[~between]
+    some = some if b_frames is None else some[~b_frames]
     gains = np.stack([motion.gains_at(int(t)) for t in some])  # [T, K]
     real, imaginary = np.split(
         projected([line], np.hstack([gains.real, gains.imag]), some / motion.fps)[0], 2
     )
     along = np.tensordot(real.astype(np.complex64), motion.displacement.real, 1)
     return np.asarray(along - np.tensordot(imaginary.astype(np.complex64), motion.displacement.imag, 1))
-
-
-WHY_NO_DAMPING = {
-    "steady": "the amplitude stays constant during the record",
-    "grows": "the amplitude grows during the record",
-    "varies": "the amplitude rises and falls during the record",
-}
 
 
 def why_no_damping(line: Line | None) -> str:
@@ -317,13 +313,13 @@ class ModePeak:
     line: Line | None  # None: the record is too short, or the fit is of steady lines alone
     is_steady: bool = False
 
-    def reach(self, duration_s: float) -> float:
+    def half_width_hz(self, duration_s: float) -> float:
         """Return the half-width in Hz: 1 / duration, or that of a line that rings down."""
         return max(1 / duration_s, 0.0 if self.line is None else abs(self.line.decay_per_s) / np.pi)
 
 
 def is_drift(found: ModePeak, duration_s: float) -> bool:
-    """Whether the record holds too little of a frequency to tell it from a slow drift."""
+    """Return whether the record holds too little of a frequency to tell it from a slow drift."""
     return found.mode_hz * duration_s < CLEAR_PERIODS or found.hz < _SURE * found.deviation_hz
 
 

@@ -30,6 +30,9 @@ from tg4mm.show.result.model import (
 )
 from tg4mm.show.result.reading import ResultSources, reading_of
 
+_STEADY = "the fit assumes a steady vibration"
+_DOUBT = "only the whole picture shows it, no region by itself: it may be a little sway, a passer-by or noise"
+
 
 def _requested(reading: ResultSources, band: Band) -> Vibration | None:
     """Return the motion of the run's modes in a band, with a large ± that shows the doubt; None without a mode.
@@ -49,7 +52,7 @@ def _requested(reading: ResultSources, band: Band) -> Vibration | None:
     k = int(inside[power.argmax()])
     tone, share = _tone(reading, motion, k, band)
     phasors = motion.displacement[k] * np.complex64(1.0 if tone is None else abs(tone.phasor[0]))
-    amplitude, place = reading.largest(phasors, k)
+    amplitude, position = reading.largest(phasors, k)
     deviation = float(np.hypot(amplitude.deviation or 0.0, share * amplitude.value))
     amplitude = replace(amplitude, deviation=deviation)
     frequency, width = float(hz[k]), (band[1] - band[0]) / np.sqrt(12)
@@ -60,11 +63,11 @@ def _requested(reading: ResultSources, band: Band) -> Vibration | None:
         hz=frequency,
         deviation_hz=width,
         amplitude=amplitude,
-        place=place,
+        position=position,
         pixels=reading.pixels(phasors, amplitude),
         why_no_damping="nothing stands out in the band",
         band=band,
-        place_px=reading.pixel(place),
+        position_px=reading.pixel(position),
         doubt=f"nothing stands out from {band[0]:g} to {band[1]:g} Hz, which was asked for; the record holds "
         f"{periods:.2g} periods of it, and the ± a drift as large as the motion",
     )
@@ -80,10 +83,6 @@ def _tone(reading: ResultSources, motion: ModalMotion, k: int, band: Band) -> tu
     noise = float(reading.log.get("noise_to_motion") or 0.0) * float(np.sqrt((series**2).mean()))
     tone = tone_in(series, np.arange(len(series)) / motion.fps, band, noise)
     return tone, float(tone.amplitude_deviation[0]) / max(abs(tone.phasor[0]), 1e-300)
-
-
-_STEADY = "the fit assumes a steady vibration"
-_DOUBT = "only the whole picture shows it, no region by itself: it may be a little sway, a passer-by or noise"
 
 
 def result_of(run: Run, band: Band | None = None) -> Result:
@@ -106,7 +105,7 @@ def result_from(reading: ResultSources, band: Band | None = None) -> Result:
     noise, noise_px = reading.noise()
     low, high = vibrations[0].band if vibrations else (0.0, 0.0)
     strongest = (motion.freqs_hz >= low) & (motion.freqs_hz <= high)
-    alpha = suggested_alpha(reading.reach(strongest.astype(float)) if vibrations else None, reading.capture)
+    alpha = suggested_alpha(reading.limits(strongest.astype(float)) if vibrations else None, reading.capture)
     capture = reading.capture
     return Result(
         run=reading.run.path,
@@ -232,7 +231,7 @@ def _found(reading: ResultSources, motion: ModalMotion) -> list[ModePeak]:
             out.append(ModePeak(f, f, stated[min(stated, key=lambda g: abs(g - f))], None, is_steady=True))
             continue
         peak = _line(reading, motion, f, [g for g in hz if g != f])
-        if all(abs(peak.hz - v.hz) >= v.reach(reading.duration_s) for v in out):
+        if all(abs(peak.hz - v.hz) >= v.half_width_hz(reading.duration_s) for v in out):
             out.append(peak)
     return out
 
@@ -240,7 +239,7 @@ def _found(reading: ResultSources, motion: ModalMotion) -> list[ModePeak]:
 def _line(reading: ResultSources, motion: ModalMotion, hz: float, others: list[float]) -> ModePeak:
     series = series_of(motion, motion.displacement[_index(motion, hz)], reading.seen.weights)
     noise = float(reading.log.get("noise_to_motion") or 0.0)
-    line = line_near(series, motion.fps, hz, others, noise, reading.between)
+    line = line_near(series, motion.fps, hz, others, noise, reading.b_frames)
     if line is None:  # a bin, uniformly distributed
         return ModePeak(hz, hz, 1 / (reading.duration_s * np.sqrt(12)), None)
     return ModePeak(hz, line.hz, at_least_seen(line.hz, line.hz_deviation, look_of(reading.run)), line)
@@ -255,13 +254,13 @@ def at_least_seen(hz: float, deviation: float, look: LookSummary | None) -> floa
 def _vibrations(reading: ResultSources, motion: ModalMotion, found: list[ModePeak]) -> tuple[Vibration, ...]:
     bands = suggested_bands(
         [v.hz for v in found], [v.deviation_hz for v in found], reading.duration_s, motion.fps,
-        [v.reach(reading.duration_s) for v in found],
+        [v.half_width_hz(reading.duration_s) for v in found],
     )  # fmt: skip
     out = []
     for v, band in zip(found, bands, strict=True):
         k, line = _index(motion, v.mode_hz), v.line
-        phasors = motion.displacement[k] if line is None else phasors_at(motion, line, reading.between)
-        amplitude, place = reading.largest(phasors, k)
+        phasors = motion.displacement[k] if line is None else phasors_at(motion, line, reading.b_frames)
+        amplitude, position = reading.largest(phasors, k)
         if amplitude.deviation is not None and amplitude.value < amplitude.deviation:
             continue  # not larger than its error
         amplitude = replace(amplitude, is_bound=reading.is_bound(v.hz))
@@ -270,13 +269,13 @@ def _vibrations(reading: ResultSources, motion: ModalMotion, found: list[ModePea
                 hz=v.hz,
                 deviation_hz=v.deviation_hz,
                 amplitude=amplitude,
-                place=place,
+                position=position,
                 pixels=reading.pixels(phasors, amplitude),
                 damping=None if line is None else line.damping,
                 damping_deviation=None if line is None else line.damping_deviation,
                 why_no_damping=_STEADY if v.is_steady else why_no_damping(line),
                 band=band,
-                place_px=reading.pixel(place),
+                position_px=reading.pixel(position),
                 begins_s=None if line is None else line.start_s,
             )
         )

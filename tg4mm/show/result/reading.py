@@ -34,11 +34,12 @@ NOISE_PX = 1.0  # noise of a pixel looks like motion
 _NEIGHBOURS = 6
 _TOP = 0.99  # of the visible weight lies below a reported amplitude
 _FROZEN = 1e-6  # of the largest noise: less belongs to Gaussians that the fit keeps static
+_CAMERAS = 4  # spread evenly over those that show motion
 
 
 @dataclass(frozen=True)
-class Reach:
-    """How far a motion may be magnified."""
+class MagnificationLimits:
+    """Limits on the magnification of a motion."""
 
     pixels: float | None  # the largest motion; None without a camera
     noise_px: float | None  # the noise's amplitude; None if unknown
@@ -57,7 +58,7 @@ def reach_of(
     noise_px: float | None,
     gains: np.ndarray,
     is_decoded: bool = False,
-) -> Reach:
+) -> MagnificationLimits:
     """Return the reach of the modes multiplied by `gains` [K]; 0 excludes a mode. noise_px: at gain 1.
 
     `is_decoded`: magnified poses come from a network (`paper`), not from phasors. It turns single Gaussians by radians
@@ -77,7 +78,7 @@ def reach_of(
         strain2 += _second_largest((np.abs(apart) ** 2).sum(-1) / distance**2)
         turn2 += peak_displacement(turned[rows]) ** 2
     strains = np.sqrt(np.maximum(strain2, turn2))
-    return Reach(
+    return MagnificationLimits(
         pixels=float(np.sqrt(pixels2)) if seen.rows else None,
         noise_px=None if noise_px is None else noise_px * float(np.abs(gains).max(initial=0)),
         turn=scale_top(strains, seen.weights[rows], _TOP) if len(rows) else 0.0,
@@ -96,9 +97,6 @@ def _neighbours(means: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.nd
         return np.ones((len(means), 1)), np.zeros((len(means), 1), int)
     distance, near = cKDTree(means).query(means, k=count)
     return np.maximum(distance[:, 1:], np.maximum(sizes, 1e-12)[:, None]), near[:, 1:]
-
-
-_CAMERAS = 4  # spread evenly over those that show motion
 
 
 @dataclass(frozen=True)
@@ -178,7 +176,7 @@ class ResultSources:
         return seen_by(self.gaussians, self.capture)
 
     @cached_property
-    def between(self) -> np.ndarray | None:
+    def b_frames(self) -> np.ndarray | None:
         """[T] bool: B-frames; None if unknown."""
         if self.capture is None or self.motion is None:
             return None
@@ -205,12 +203,12 @@ class ResultSources:
         x, y, z = (float(c) for c in self.gaussians.means[there])
         return Length(top, None if deviation is None else float(deviation[there])), (x, y, z)
 
-    def pixel(self, place: tuple[float, float, float]) -> tuple[float, float] | None:
+    def pixel(self, position: tuple[float, float, float]) -> tuple[float, float] | None:
         """Return the pixel of a position in a flat capture."""
         if self.capture is None or self.capture.kind.sees_depth:
             return None
         viewmat, K = self.capture.viewmats[0].astype(np.float64), self.capture.Ks[0].astype(np.float64)
-        x, y, z = K @ (viewmat[:3, :3] @ np.array(place) + viewmat[:3, 3])
+        x, y, z = K @ (viewmat[:3, :3] @ np.array(position) + viewmat[:3, 3])
         return float(x / z), float(y / z)
 
     def pixels(self, phasors: np.ndarray, amplitude: Length) -> Length | None:
@@ -226,7 +224,7 @@ class ResultSources:
         return Length(pixels, deviation, amplitude.is_bound)
 
     def is_bound(self, hz: float) -> bool:
-        """Whether the fit states that its amplitude is a lower bound."""
+        """Return whether the fit states that its amplitude is a lower bound."""
         slow = np.array(self.log.get("lower_bound_hz", ()))
         is_near = bool((np.abs(slow - hz) < 1 / self.duration_s).any())
         return is_near or self.log.get("picture_gain", 1.0) > LACKING
@@ -241,7 +239,7 @@ class ResultSources:
         pixels = self.seen.rms_pixels((noise**2 / 3)[:, None, None] * np.eye(3))
         return own, None if pixels is None else np.sqrt(2) * pixels
 
-    def reach(self, gains: np.ndarray) -> Reach | None:
+    def limits(self, gains: np.ndarray) -> MagnificationLimits | None:
         """Return the reach with the modes multiplied by `gains` [K]; None for a run without motion."""
         if self.motion is None:
             return None

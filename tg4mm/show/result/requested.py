@@ -12,7 +12,7 @@ from tg4mm.run import Run
 from tg4mm.run.preset import method_of
 from tg4mm.show.result.model import Band, Result, with_deviation
 from tg4mm.show.result.read import result_from, result_of
-from tg4mm.show.result.reading import NOISE_PX, TURN, Reach, reading_of
+from tg4mm.show.result.reading import NOISE_PX, TURN, MagnificationLimits, reading_of
 
 _LISTED = 8  # modes
 _LET_THROUGH = 0.05  # of a filter's response: less counts as outside the band
@@ -91,27 +91,27 @@ def too_far(run: Run, plan: Magnification) -> str | None:
     else:
         alphas = plan.response(motion.freqs_hz, motion.fps)
     gains = np.where(alphas != 0, np.abs(1 + alphas), 0.0)
-    reach = reading_of(run).reach(gains)
-    if reach is None or not reach.too_far > 1:
+    limits = reading_of(run).limits(gains)
+    if limits is None or not limits.too_far > 1:
         return None
     alpha = plan.alpha
-    moved = "" if reach.pixels is None else f"the largest motion becomes {reach.pixels:.3g} px; "
-    most = abs(1 + alpha) / reach.too_far - 1  # all limits are proportional to |1 + α|
+    moved = "" if limits.pixels is None else f"the largest motion becomes {limits.pixels:.3g} px; "
+    most = abs(1 + alpha) / limits.too_far - 1  # all limits are proportional to |1 + α|
     within = "it does not hold as captured either"
     if most > 0:
         within = f"α = {float(f'{most:.2g}'):g} is as far as it holds"
-    return f"α = {alpha:g}: {moved}{'; '.join(_reasons(reach))}; {within}"
+    return f"α = {alpha:g}: {moved}{'; '.join(_reasons(limits))}; {within}"
 
 
-def _reasons(reach: Reach) -> list[str]:
+def _reasons(limits: MagnificationLimits) -> list[str]:
     out = []
-    if reach.turn > TURN:
+    if limits.turn > TURN:
         out.append(
-            f"parts turn or shear by {reach.turn:.2g} rad, and from {TURN:g} on shapes stretch, by 12 % and more, "
+            f"parts turn or shear by {limits.turn:.2g} rad, and from {TURN:g} on shapes stretch, by 12 % and more, "
             "and tear"
         )
-    if (reach.noise_px or 0.0) > NOISE_PX:
-        out.append(f"noise is magnified to {reach.noise_px:.2g} px and looks like motion")
+    if (limits.noise_px or 0.0) > NOISE_PX:
+        out.append(f"noise is magnified to {limits.noise_px:.2g} px and looks like motion")
     return out
 
 

@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from tg4mm.capture.look import LookSummary
 from tg4mm.core.colour import amount_colours, hex_colour
-from tg4mm.core.pages.svg import nice_ticks, number
+from tg4mm.core.digits import nice_ticks, number
 from tg4mm.show.view.colours import Band
 
 _NOTHING = Markup("")

@@ -7,12 +7,16 @@ import numpy as np
 from markupsafe import Markup
 
 from tg4mm.core.colour import STILL, amount_colours, phase_colours, phase_share
+from tg4mm.core.digits import number
 from tg4mm.core.magnification import Magnification
-from tg4mm.core.pages.svg import colour_bar, number, phase_bar
+from tg4mm.core.pages.charts import colour_bar, phase_bar
 from tg4mm.core.phasors import main_direction, peak_displacement, scale_top
 from tg4mm.show.view.scene import RunScene
 
 Band = tuple[float, float] | None
+ALL = "all"  # the button for all frequencies
+_BUTTONS = 8  # peaks that get a button
+_FAINT = 0.05  # of the largest peak; lower ones get no button
 
 
 class Colour(StrEnum):
@@ -70,11 +74,6 @@ def legend(scene: RunScene, colour: Colour, magnified: Magnification) -> Markup:
     top = scale_top(peak_displacement(scene.motion.displacement[k]), scene.weights) * scene.per_unit
     bar = colour_bar(top, scene.unit, "peak displacement")
     return Markup("<p>Motion at {}, as captured.</p>{}").format(at, bar)
-
-
-ALL = "all"  # the button for all frequencies
-_BUTTONS = 8  # peaks that get a button
-_FAINT = 0.05  # of the largest peak; lower ones get no button
 
 
 def band_of_slider(low: float, high: float, nyquist: float) -> Band:

@@ -17,13 +17,13 @@ from tg4mm.capture.look import look
 from tg4mm.capture.transforms import natural
 from tg4mm.capture.video import RECORDING_SUFFIXES, video_frames
 from tg4mm.core.choices import Clock
+from tg4mm.core.digits import number
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.files import argument
-from tg4mm.core.pages.svg import number
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.regions import Regions, write_regions
 from tg4mm.fit.motion.observations import frames_of
-from tg4mm.show.look.words import HEADER, Words
+from tg4mm.show.look import HEADER, LookText
 from tg4mm.show.view.charts import block, composite_chart, key_words
 from tg4mm.show.view.drawing import TOOLS, Drawing, Texture, drawn, opened, texture_of
 from tg4mm.show.view.local_server import add_side_panel, address, start_server, stop_server
@@ -56,7 +56,7 @@ def shots_of(path: Path, fps: float | None = None) -> list[FirstPicture]:
         clock, frames = frames_of(capture)
         if clock == Clock.moving:
             raise CaptureError(
-                f"{path}: its camera moves, so a region of a picture is no place: view its run"
+                f"{path}: the camera moves, so regions cannot be marked in its pictures; open its run instead"
             )
         return [_shot(f.name, [_rgb(picture(capture.paths[k])) for k in f.rows[:_FIRST]]) for f in frames]
     if path.is_dir():
@@ -64,7 +64,7 @@ def shots_of(path: Path, fps: float | None = None) -> list[FirstPicture]:
         files = sorted(found, key=lambda f: natural(f.name))
         if files:
             return [_shot("", [_rgb(decode(file)) for file in files[:_FIRST]])]
-    raise CaptureError(f"{path}: is neither a run, a dataset, a video nor a folder of pictures")
+    raise CaptureError(f"{path}: is not a run, a dataset, a video or a folder of pictures")
 
 
 def _shot(camera: str, pictures: list[np.ndarray]) -> FirstPicture:
@@ -266,7 +266,7 @@ class Desk:
             self._found.content = block("Looking: one pass over the recording …")
             regions = self._regions()
             found = look(self._source, self._fps, regions=regions)
-            words = Words(found, self._source, self._fps, drawn=regions)
+            words = LookText(found, self._source, self._fps, drawn=regions)
             rows = words.region_rows() or words.rows()
             header = words.region_header() if words.region_rows() else list(HEADER)
             named = [[(h, cell) for h, cell in zip(header, row, strict=True) if cell] for row in rows]

@@ -9,7 +9,7 @@ from typing import Any
 import viser
 from markupsafe import Markup
 
-from tg4mm.core.pages.svg import number
+from tg4mm.core.digits import number
 from tg4mm.show.maps import middle_depth
 from tg4mm.show.view.charts import BAND_FIELD, block, composite_chart, spectrum_chart
 from tg4mm.show.view.colours import (
@@ -30,6 +30,7 @@ from tg4mm.show.view.session import Session
 _FOLLOW_EVERY = 0.2  # seconds between moves of the time slider as it plays
 _HANDS_OFF = 0.7  # seconds after the user moved it
 _ALIASED = 4.0  # pictures a cycle; fewer mislead the eye
+_BEFORE, _AGAIN, _NEXT = "previous", "back to it", "next"
 
 
 class Panel:
@@ -214,9 +215,6 @@ class Panel:
         self._status.content = block(*self._session.scene.notes, line)
         if rate is not None:
             self._rate = rate
-
-
-_BEFORE, _AGAIN, _NEXT = "previous", "back to it", "next"
 
 
 class CameraPanel:

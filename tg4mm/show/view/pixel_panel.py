@@ -9,8 +9,8 @@ import numpy as np
 import viser
 from markupsafe import Markup
 
+from tg4mm.core.digits import number
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.pages.svg import number
 from tg4mm.core.phasors import main_direction, peak_displacement
 from tg4mm.core.progress import listened_to
 from tg4mm.run import Run
@@ -29,6 +29,7 @@ _STILL = "Nothing moves in this run."
 _READING = "Reading the capture's pictures once, for all pixels …"
 _SHADED = "; shaded: ± one standard deviation"
 _MARK = 0.004  # radius of the mark over the picture's height at its depth
+_FAINTEST = 0.05  # opacity of a pixel that counts as hit
 
 
 class PixelPanel:
@@ -143,9 +144,6 @@ def _headline(found: "Waveform", unit: str, per: float) -> str:
         return f"{amplitude} {unit} at {hz} Hz, along {found.along}"
     unsure = [number(d, 2) for d in (found.peak_deviation[0], found.peak_deviation[1] * per)]
     return f"{amplitude} ± {unsure[1]} {unit} at {hz} ± {unsure[0]} Hz, along {found.along}"
-
-
-_FAINTEST = 0.05  # opacity of a pixel that counts as hit
 
 
 @dataclass(frozen=True)

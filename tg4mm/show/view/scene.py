@@ -26,6 +26,7 @@ from tg4mm.show.result import result_of
 from tg4mm.show.result.model import unit_of
 
 _SAME_PLACE = 1e-3  # of the distance to what is looked at
+_LOOKED_FROM = 8  # cameras that give the Gaussians' weights
 
 
 @dataclass(frozen=True)
@@ -116,9 +117,6 @@ def _warped(picture: np.ndarray, homography: np.ndarray, size: tuple[int, int]) 
         size, Image.Transform.PERSPECTIVE, factors, Image.Resampling.BILINEAR, fillcolor=(255, 255, 255)
     )
     return np.array(seen)
-
-
-_LOOKED_FROM = 8  # cameras that give the Gaussians' weights
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,9 @@ NARROW = 600  # pixels of a phone, whose lower half the panel covers
 _LETTER = 0.022  # of a picture's height
 _BORDER = 90  # grey level between two pictures
 _RING, _STROKE = 0.012, 1.5  # of the picture's shorter side; pixels
+RATE = 30.0  # intended pictures a second
+_COARSEST = 0.4  # of the canvas' sides; below, fewer pictures a second are better than fewer pixels
+_FINEST = 2400  # pixels, longer side
 
 
 @dataclass(frozen=True)
@@ -133,11 +136,6 @@ class Screen:
             self._pace = self._pace.after(time.perf_counter() - begun, size[0] * size[1])
         self._shown, self._fine, self.size = wanted, fine, size
         return True
-
-
-RATE = 30.0  # intended pictures a second
-_COARSEST = 0.4  # of the canvas' sides; below, fewer pictures a second are better than fewer pixels
-_FINEST = 2400  # pixels, longer side
 
 
 @dataclass(frozen=True)

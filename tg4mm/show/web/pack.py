@@ -24,6 +24,7 @@ _HALF = 65504.0  # float16's largest number
 _SEEN = 0.25  # pixels of blending weight over all pictures; less is invisible
 _COARSEST = 1  # least degree of spherical harmonics, for colours that change with the viewpoint
 _MARGIN = 0.98  # of the intended bytes, since compression differs between Gaussians
+TOLERANCE = 1e-4  # of the motion's rms: weaker fields are left out
 
 
 @dataclass(frozen=True)
@@ -122,9 +123,6 @@ def _light(light: AppearanceModes | None, n: int) -> tuple[np.ndarray, np.ndarra
     sizes = np.abs(light.shapes).max(axis=(1, 2, 3)).astype(np.float64)
     unit = np.where(sizes > 0, sizes, 1).astype(np.float32)
     return light.shapes / unit[:, None, None, None], sizes
-
-
-TOLERANCE = 1e-4  # of the motion's rms: weaker fields are left out
 
 
 @dataclass(frozen=True)

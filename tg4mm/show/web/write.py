@@ -32,6 +32,7 @@ _HERE = Path(__file__).parent
 _PLAYER = _HERE / "player" / "dist"
 _SUFFIXES = (".html", ".htm")
 _NUMBERS = 200_000  # bytes of style, cameras and temporal components
+FORMAT_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -115,9 +116,6 @@ def render(page: PageValues) -> str:
     )
 
 
-FORMAT_VERSION = 1
-
-
 def camera_json(camera: Camera) -> dict[str, Any]:
     """Return a camera for the page: {name, width, height, K, viewmat}, docs/conventions.md."""
     return {
@@ -137,7 +135,7 @@ def scene_json(
     Raises CaptureError for a bad dataset, RunError where it is gone: the page opens with a camera of it.
     """
     if not run.dataset.is_dir():
-        raise RunError(f"{run.dataset}: the run's dataset is gone; a page opens with one of its cameras")
+        raise RunError(f"{run.dataset}: the run's dataset is missing; the page opens with one of its cameras")
     capture = load_capture(run.dataset)
     camera, pixels = _first_camera(capture, gaussians, motion)
     unit, factor = unit_of(capture)

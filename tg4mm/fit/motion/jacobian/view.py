@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from tg4mm.capture.tracking.template import slope
-from tg4mm.core.memory import mapped_zeros, release
+from tg4mm.core.memory import Buffers, mapped_zeros, release
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.jacobian.packed import (
     COLUMNS,
@@ -26,7 +26,6 @@ from tg4mm.fit.motion.jacobian.packed import (
     unpack,
     vjp_rows,
 )
-from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.kernels.binning import Bins, bin_splats, seen
 from tg4mm.fit.rasterize.kernels.blend import blend_forward
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEATURES

@@ -123,7 +123,7 @@ class Errors:
     total: float
 
     def is_no_larger(self, other: "Errors") -> bool:
-        """Whether neither sum is larger."""
+        """Return whether neither sum is larger."""
         return self.changes <= other.changes and self.total <= other.total
 
 

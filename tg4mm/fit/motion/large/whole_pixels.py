@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tg4mm.core.memory import release
+from tg4mm.core.memory import Buffers, release
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, arrays_of, gaussians_of, suffixed
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
@@ -24,7 +24,6 @@ from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.motion.split_half import wiener_shrink
 from tg4mm.fit.motion.temporal import TemporalModel
 from tg4mm.fit.motion.temporal.synchronous import Synchronous
-from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.space.plane import plane_gaussians, solve_colours
 
 # pixels, rms: smaller motion is not put back, larger motion completely. Far below the linear range

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tg4mm.core.memory import Buffers
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Projection
 from tg4mm.fit.motion.prior import NeighbourGraph
 from tg4mm.fit.motion.solver.preconditioner import TwoLevelPreconditioner
-from tg4mm.fit.rasterize.buffers import Buffers
 
 AT_ONCE = 8  # fields in a pass over a view: half the time of eight passes; more would only take more memory
 

@@ -44,7 +44,7 @@ class System(Protocol):
 
     @property
     def is_coupled(self) -> bool:
-        """Whether the R parts of θ are one system, not R."""
+        """Return whether the R parts of θ are one system, not R."""
 
     def products(self, theta: Array, rows: Sequence[int] | None = None) -> Array:
         """The operator applied to θ; of uncoupled systems to some rows of it."""

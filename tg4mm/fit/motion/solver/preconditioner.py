@@ -18,10 +18,10 @@ import numpy as np
 import torch
 from scipy.sparse import bsr_matrix
 
+from tg4mm.core.memory import Buffers
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.prior import ROWS, NeighbourGraph, times_blocks
-from tg4mm.fit.rasterize.buffers import Buffers
 
 MOST = 256  # aggregates: the coarse operator is dense, with four times as many rows
 _LEAST = 16  # Gaussians of an aggregate

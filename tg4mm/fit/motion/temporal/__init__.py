@@ -40,12 +40,12 @@ class TemporalModel(ABC):
 
     @property
     def separates(self) -> bool:
-        """Whether each function of time has target images of its own: then fields are solved for one by one."""
+        """Return whether each function of time has separate target images, so that fields are solved for one by one."""
         return self.problem.mixing is None
 
     @property
     def iterates(self) -> bool:
-        """Whether large motion can be fitted by Gauss-Newton: with several cameras, or pictures from elsewhere."""
+        """Return whether large motion can be fitted by Gauss-Newton: with several cameras or photographs of a sweep."""
         return self.separates and not self.observations.is_flat
 
     @property

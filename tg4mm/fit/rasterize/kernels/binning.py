@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import float32, int64, prange, uint32
 
-from tg4mm.fit.rasterize.buffers import Buffers
+from tg4mm.core.memory import Buffers
 from tg4mm.fit.rasterize.kernels.block_culling import prefetch_gaussians
 from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.fit.rasterize.kernels.layout import CC, DEPTH, EX, EY, MX, POWER, SPLAT_WIDTH, SQUARES, TILE

@@ -135,7 +135,7 @@ def _weigh(pixels, y0, x0, rows, columns, counts):
 
 @kernel()
 def _counts(pixels, y0, x0, rows, columns):
-    """Whether any pixel of a tile has a weight."""
+    """Return whether any pixel of a tile has a weight."""
     for y in range(y0, y0 + rows):
         for x in range(x0, x0 + columns):
             if pixels[y, x] != float32(0.0):

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import float32, int64, prange
 
-from tg4mm.fit.rasterize.buffers import Buffers
+from tg4mm.core.memory import Buffers
 from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, part
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, POWER, SPLAT_WIDTH, SQUARES
 from tg4mm.fit.rasterize.kernels.sh import colour

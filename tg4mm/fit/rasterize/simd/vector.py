@@ -27,7 +27,7 @@ _NUMBERED = ir.Constant(IV, [ir.Constant(I32, k) for k in range(LANES)])
 
 
 def has_avx512(context):
-    """Whether the target has AVX-512 (DQ): 32-entry look-ups, masked arithmetic, `vreduceps`."""
+    """Return whether the target has AVX-512 (DQ): 32-entry look-ups, masked arithmetic, `vreduceps`."""
     return "+avx512dq" in context.codegen().magic_tuple()[2]
 
 
@@ -164,6 +164,7 @@ register(operator.and_, [(kind, kind, kind) for kind in mask_of.values()], lambd
 
 
 def declare(builder, name, result, arguments):
+    """Return the external function `name` of the module that is being built, declared if it is not yet."""
     return cgutils.get_or_insert_function(builder.module, ir.FunctionType(result, arguments), name)
 
 

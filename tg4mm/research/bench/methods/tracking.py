@@ -140,6 +140,7 @@ class HexPlane(nn.Module):
 
 
 def linear_layer(n_in: int, n_out: int, draw: torch.Generator) -> nn.Linear:
+    """Return a layer with random weights and no bias."""
     layer = nn.Linear(n_in, n_out)
     bound = (6 / (n_in + n_out)) ** 0.5  # Glorot's uniform
     with torch.no_grad():

@@ -31,6 +31,7 @@ def _listed(lines: Sequence[str]) -> str:
 
 
 def markdown(made: TextTable) -> str:
+    """Return a table as Markdown."""
     return table(made.header, made.rows, made.text_columns)
 
 

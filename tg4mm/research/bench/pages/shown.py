@@ -17,6 +17,7 @@ from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.research.bench.jobs import picture_folder
 from tg4mm.research.bench.scored import most_changing, video_of
 from tg4mm.research.bench.sets import BenchSet, alpha_to_show, open_set, truth_at
+from tg4mm.show.maps import difference_maps
 from tg4mm.show.report.figures import (
     SliceLine,
     clip,
@@ -26,7 +27,6 @@ from tg4mm.show.report.figures import (
     playing_rate,
     slice_picture,
 )
-from tg4mm.show.slices import difference_maps
 
 TRUTH = "ground truth"
 _MAPS = 6  # of the first seven frames, as [TG4MM] Fig. 4
