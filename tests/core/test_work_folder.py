@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from tg4mm.core.errors import CaptureError, RunError
-from tg4mm.core.work_folder import FolderStep, WorkFolder, run_steps
+from tg4mm.core.work_folder import FolderStep as Step
+from tg4mm.core.work_folder import WorkFolder, run_steps
 
 ASKED = {"alpha": 5.0, "cameras": {"seed": 0, "views": 3}, "band": None}
 
@@ -109,11 +110,9 @@ class Made:
             self.calls.append("page")
 
         steps = [
-            FolderStep("data", "Data", self.root / "data", lambda: folder("data"), {"value": asked.get("data", 0)}),
-            FolderStep(
-                "run", "Run", self.root / "run", lambda: folder("run"), {"value": asked.get("run", 0)}, ["data"],
-            ),
-            FolderStep("page", "Page", self.root / "page", page, {}, ["run"]),
+            Step("data", "Data", self.root / "data", lambda: folder("data"), {"value": asked.get("data", 0)}),
+            Step("run", "Run", self.root / "run", lambda: folder("run"), {"value": asked.get("run", 0)}, ["data"]),
+            Step("page", "Page", self.root / "page", page, {}, ["run"]),
         ]  # fmt: skip
         self.calls.clear()
         owned = WorkFolder(self.root, "steps.json", free=("done",))

@@ -146,8 +146,7 @@ def test_flood_of_lines_does_not_hold_up_a_poll(jobs, step, monkeypatch):
 
 def test_poll_returns_at_once_while_a_program_hangs_and_cancel_ends_it(jobs, step):
     code = (
-        "import time\nfrom tg4mm.core.progress import emit_event\n"
-        "emit_event('progress', label='ready', done=1, total=2)\n"
+        "import time\nimport tg4mm.core.progress as p\np.emit_event('progress', label='ready', done=1, total=2)\n"
         "try:\n    time.sleep(99)\nexcept KeyboardInterrupt:\n    raise SystemExit(130)"
     )
     job = jobs.runner.Job([step(code), step("print('never')")], environment(jobs))

@@ -125,9 +125,7 @@ def test_a_baseline_gives_the_scale_later(dataset, photographs, tmp_path):
     capture = load_capture(out)
     centres, _ = optical_axes(capture.viewmats)
     assert capture.unit_scale_m == pytest.approx(2.0 / np.linalg.norm(centres[0] - centres[3]))
-    with pytest.raises(
-        Tg4mmError, match="--baseline names p_99, which is not a placed camera; there are p_0"
-    ):
+    with pytest.raises(Tg4mmError, match="names p_99, which is not a placed camera; there are p_0"):
         reconstruct(photographs, out, SfmConfig(baseline=("p_0", "p_99", 2.0)), threads=1)
 
 

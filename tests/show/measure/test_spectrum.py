@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
+from tg4mm.show.measure import spectrum as sp
 from tg4mm.show.measure.series import derivatives_of, deviations_of
-from tg4mm.show.measure.spectrum import (
-    CHANCE,
-    Harmonic,
-    harmonics_of,
-    orbit_in,
-    orbit_of,
-    spectrum_of,
-    with_band,
-)
+from tg4mm.show.measure.spectrum import Harmonic, harmonics_of, orbit_in, orbit_of, spectrum_of
 
 TIMES = np.arange(60) / 30.0
 
@@ -49,7 +42,7 @@ def test_noise_alone_passes_the_floor_in_few_records_of_many():
     records = (noisy(np.zeros((60, 3)), 1.0, k) for k in range(50))
     low = sum(bool(spectrum_of(TIMES, v, s / 1.5).peaks) for v, s in records)
     assert low <= 3  # noise is what the record itself shows, where less is said of it
-    assert CHANCE == 0.01
+    assert sp.CHANCE == 0.01
 
 
 @pytest.mark.parametrize("missing", [1, 20])
@@ -172,12 +165,12 @@ def test_a_band_that_is_given_has_a_peak_though_one_period_makes_none():
     share = np.zeros(3)
     found = spectrum_of(TIMES, values, sigma)
     assert found.peaks == ()
-    (asked,) = with_band(found, (0.4, 0.6), TIMES, values, sigma, share).peaks
+    (asked,) = sp.with_band(found, (0.4, 0.6), TIMES, values, sigma, share).peaks
     assert asked.requested.band == (0.4, 0.6)
     assert asked.amplitude == pytest.approx([1, 0, 0.5], abs=2 * asked.deviation.max())
     assert 0.1 < asked.deviation[0] < 0.5
     fast = spectrum_of(TIMES, *noisy(sinusoid(7.7), 0.05, 1))
-    assert with_band(fast, (7, 8), TIMES, values, sigma, share) is fast
+    assert sp.with_band(fast, (7, 8), TIMES, values, sigma, share) is fast
 
 
 def test_a_spectrum_marks_them():
