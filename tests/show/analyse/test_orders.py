@@ -105,7 +105,7 @@ def test_the_command_writes_and_prints_them(tmp_path, capsys):
         ("pulse_s\n", [], "no rows below a header"),
         (None, ["--speed", "fast"], "--speed 'fast', expected revolutions per minute, or auto"),
         (None, ["--speed", "0"], "--speed 0, expected revolutions per minute above 0"),
-        (None, ["--speed", "auto"], "no line stands out"),
+        (None, ["--speed", "auto"], "no line exceeds the noise"),
         (None, ["--order", "2"], "--order belongs to --speed or --tacho"),
         (None, ["--speed", "600", "--order", "-1"], "different numbers above 0"),
         (None, ["--speed", "600", "--order", "1", "--order", "1.01"], "turns, expected 300 or more"),
