@@ -74,7 +74,7 @@ def _key_name(number: int) -> str:
 
 
 def _shape_keys(obj: bpy.types.Object, rest: np.ndarray, basis: np.ndarray, scales: np.ndarray) -> None:
-    """Per basis shape that moves this object a key at rest + scale · shape."""
+    """Add a shape key, rest + scale · shape, for each basis shape that moves this object."""
     mesh = obj.data
     if DISPLACEMENT in mesh.attributes:
         mesh.attributes.remove(mesh.attributes[DISPLACEMENT])

@@ -8,7 +8,7 @@ from .errors import GenerateError
 
 
 def is_5() -> bool:
-    """True from Blender 5.0 on."""
+    """Return whether this is Blender 5.0 or later."""
     return bool(bpy.app.version >= (5, 0, 0))
 
 

@@ -33,14 +33,14 @@ def join(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def shift(by: Vector) -> np.ndarray:
-    """[4, 4] that moves by a vector."""
+    """Return [4, 4] that moves by a vector."""
     out = np.eye(4)
     out[:3, 3] = by
     return out
 
 
 def frame(origin: Vector, axis: Vector, up: Vector = (0.0, 0.0, 1.0)) -> np.ndarray:
-    """[4, 4] whose z axis is `axis` and whose x axis is as close to `up` as it can be."""
+    """Return [4, 4] whose z axis is `axis` and whose x axis is as close to `up` as it can be."""
     z = np.asarray(axis, float) / np.linalg.norm(axis)
     x = np.asarray(up, float) - np.dot(up, z) * z
     if np.linalg.norm(x) < 1e-6:

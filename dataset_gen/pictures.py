@@ -31,14 +31,14 @@ def to_integers(values: np.ndarray, bits: int) -> np.ndarray:
 
 
 def straight(premultiplied: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """[H, W, 4] premultiplied to colours [H, W, 3], 0 where alpha is 0, and alpha [H, W] in 0 … 1."""
+    """Return [H, W, 4] premultiplied to colours [H, W, 3], 0 where alpha is 0, and alpha [H, W] in 0 … 1."""
     alpha = np.clip(premultiplied[..., 3], 0.0, 1.0)
     divisor = np.where(alpha > 0, alpha, 1)[..., None]
     return np.where(alpha[..., None] > 0, premultiplied[..., :3] / divisor, 0), alpha
 
 
 def over_white(premultiplied: np.ndarray) -> np.ndarray:
-    """[H, W, 4] linear and premultiplied, over white: [H, W, 3] linear.
+    """Return [H, W, 4] linear and premultiplied, over white: [H, W, 3] linear.
 
     The sum is taken on display-referred values (docs/conventions.md, "Images"), so the picture is the one that
     a reader makes of the transparent file, and edges lie in the same place. Opaque pixels stay as they are, those
@@ -160,7 +160,7 @@ def generator(key: Key) -> np.random.Generator:
 
 
 def _jpeg(rgb: np.ndarray, quality: int) -> np.ndarray:
-    """[H, W, 3] uint8 through a baseline JPEG with 4:2:0 colours, as cameras write them."""
+    """Return [H, W, 3] uint8 through a baseline JPEG with 4:2:0 colours, as cameras write them."""
     try:
         from PIL import Image
     except ImportError as error:
@@ -199,7 +199,7 @@ class PictureFormat:
 
     @property
     def bits(self) -> int:
-        """Per channel; of a PNG."""
+        """Return the bits per channel of a PNG."""
         return 8 if self.images == "png8" else 16
 
     @property

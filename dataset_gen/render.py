@@ -176,7 +176,7 @@ def _render_to(stage: Stage, path: Path) -> None:
 
 
 def read_float(path: Path) -> np.ndarray:
-    """[H, W, 4] float32 of an EXR as Blender writes it, row 0 on top; by Blender itself where OpenEXR is absent."""
+    """Read an EXR of Blender, [H, W, 4] float32, row 0 on top; through Blender itself if OpenEXR is absent."""
     if importlib.util.find_spec("OpenEXR") is None:
         return read_float_by_blender(path)
     channels = exr.stored(path)

@@ -140,7 +140,7 @@ def _filming(settings: Settings, timestep: int) -> list[SceneCamera]:
 
 
 def _clocks(settings: Settings, motion: Motion) -> dict[str, Any]:
-    """Per camera: `phases_rad`, one for each of `frequencies_hz`, by which a mode is ahead at the camera's time 0."""
+    """Return each camera's `phases_rad`, by which modes of `frequencies_hz` are ahead at the camera's time 0."""
     found = {}
     for camera in _filming(settings, 0):
         offset = clock_offsets(settings.cameras)[camera.index]

@@ -29,7 +29,7 @@ from .vibration import Body, State
 
 
 def work(job_path: Path) -> int:
-    """Does the task of a JSON file. Returns the exit status."""
+    """Do the task of a JSON file and return the exit status."""
     job = json.loads(job_path.read_text(encoding="utf-8"))
     report = _own_stdout()
     tasks = {"render": _render_shots, "inspect": _inspect, "animate": _animate, "device": _device}

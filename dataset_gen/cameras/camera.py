@@ -52,7 +52,7 @@ class SceneCamera:
 
     @property
     def position(self) -> np.ndarray:
-        """[3] float64, scene units."""
+        """Return [3] float64, scene units."""
         return self.camera_to_world[:3, 3]
 
     def focal(self, width: int) -> float:
@@ -60,7 +60,7 @@ class SceneCamera:
         return focal_length(width, self.angle_x)
 
     def principal_point(self, width: int, height: int) -> tuple[float, float]:
-        """(cx, cy) in pixels; the centre of pixel (column i, row j) lies at (i + 0.5, j + 0.5)."""
+        """Return (cx, cy) in pixels; the centre of pixel (column i, row j) lies at (i + 0.5, j + 0.5)."""
         return width * (0.5 + self.shift[0]), 0.5 * height + width * self.shift[1]
 
     def project(self, positions: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -103,7 +103,7 @@ class Aim:
     angle_x: float = CAMERA_ANGLE_X  # horizontal field of view, radians
 
     def place(self, azimuth: float, elevation: float, nearness: float = 1.0) -> np.ndarray:
-        """[3] float64: `nearness` · distance from the centre, towards an azimuth and an elevation (radians)."""
+        """Return [3] float64: `nearness` · distance from the centre, towards an azimuth and an elevation (radians)."""
         return np.array(self.centre) + self.distance * nearness * direction(azimuth, elevation)
 
     def look_from(self, index: int, position: np.ndarray, rotation: float = 0.0) -> SceneCamera:

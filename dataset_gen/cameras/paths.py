@@ -60,7 +60,7 @@ def held(tremor: Tremor, time_s: float, index: int, aim: Aim, place: np.ndarray)
 
 
 def rotation_matrix(vector: np.ndarray) -> np.ndarray:
-    """[3, 3] of a rotation vector [3], radians (Rodrigues)."""
+    """Return [3, 3] of a rotation vector [3], radians (Rodrigues)."""
     angle = float(np.linalg.norm(vector))
     if angle == 0.0:
         return np.eye(3)
@@ -241,7 +241,7 @@ def extreme_points(points: np.ndarray) -> np.ndarray:
 
 
 def moving_points(points: np.ndarray, basis: np.ndarray, gains: np.ndarray) -> np.ndarray:
-    """[400, 3]: the farthest place that any of the points comes to at any time, in each of 400 directions.
+    """Return [400, 3]: the farthest place that any of the points comes to at any time, in each of 400 directions.
 
     Parameters: `points` [P, 3] at rest; `basis` [G, P, 3], real shapes of their displacement; `gains` [G, T], of the
     shapes over time.
@@ -260,7 +260,7 @@ def moving_points(points: np.ndarray, basis: np.ndarray, gains: np.ndarray) -> n
 
 
 def _directions() -> np.ndarray:
-    """[400, 3] unit vectors."""
+    """Return [400, 3] unit vectors."""
     turns = np.arange(_DIRECTIONS) + 0.5
     z, azimuth = 1.0 - 2.0 * turns / _DIRECTIONS, turns * np.pi * (3.0 - np.sqrt(5.0))
     radius = np.sqrt(1.0 - z * z)

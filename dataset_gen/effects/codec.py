@@ -84,7 +84,7 @@ def decode(path: Path) -> Iterator[np.ndarray]:
 
 
 def to_rgb(luma: np.ndarray, blue: np.ndarray, red: np.ndarray) -> np.ndarray:
-    """[H, W, 3] uint8 of planes [H, W] and twice [H/2, W/2], Rec.709 in 16 … 235; chroma lies between the pixels."""
+    """Return [H, W, 3] uint8 of planes [H, W] and twice [H/2, W/2], Rec.709 in 16 … 235, chroma between the pixels."""
     y, b, r = (luma - 16.0) / 219.0, (_doubled(blue) - 128.0) / 224.0, (_doubled(red) - 128.0) / 224.0
     red_rgb, blue_rgb = y + 2 * (1 - _RED) * r, y + 2 * (1 - _BLUE) * b
     green_rgb = (y - _RED * red_rgb - _BLUE * blue_rgb) / (1 - _RED - _BLUE)
@@ -92,13 +92,13 @@ def to_rgb(luma: np.ndarray, blue: np.ndarray, red: np.ndarray) -> np.ndarray:
 
 
 def _plane(plane: Any) -> np.ndarray:
-    """[H, W] uint8 of a plane, whose lines may be padded."""
+    """Return [H, W] uint8 of a plane, whose lines may be padded."""
     lines = np.frombuffer(bytes(plane), np.uint8).reshape(-1, plane.line_size)
     return lines[: plane.height, : plane.width]
 
 
 def _doubled(plane: np.ndarray) -> np.ndarray:
-    """[2 H, 2 W] by linear interpolation."""
+    """Return [2 H, 2 W] by linear interpolation."""
     wide = plane.astype(np.float64)
     for _ in range(2):
         padded = np.pad(wide, ((1, 1), (0, 0)), mode="edge")
@@ -112,7 +112,7 @@ _SWEEP = "sweep"  # where `tg4mm sfm` looks for photographs beside the videos
 
 
 def begin(root: Path, settings: Settings) -> None:
-    """Before rendering: of a camera that lacks some of its pictures all are removed, and will be rendered."""
+    """Prepare rendering: if a camera lacks some of its pictures, remove all, so that they are rendered again."""
     for camera in _cameras(settings):
         if not _finished(root, settings, camera) and not _rendered(root, settings, camera):
             for name in _names(settings, camera):
@@ -120,7 +120,7 @@ def begin(root: Path, settings: Settings) -> None:
 
 
 def finish(root: Path, settings: Settings) -> None:
-    """After rendering: every camera whose frames are all there gets its video, and its pictures from that."""
+    """Encode the video of every camera whose frames are complete, and take its pictures from that."""
     cameras = list(_cameras(settings))
     with progress("videos", len(cameras), "cameras", brief=True) as update:
         for done, camera in enumerate(cameras, 1):
@@ -130,7 +130,7 @@ def finish(root: Path, settings: Settings) -> None:
 
 
 def clean(root: Path, settings: Settings) -> None:
-    """When the set is complete: what was only needed on the way goes."""
+    """Remove intermediate files of a complete set."""
     if not settings.effects.coded:
         return
     shutil.rmtree(root / UNCODED, ignore_errors=True)
@@ -165,7 +165,7 @@ def _video(root: Path, camera: SceneCamera) -> Path:
 
 
 def _read(path: Path) -> np.ndarray:
-    """[H, W, 3] uint8."""
+    """Return [H, W, 3] uint8."""
     from tg4mm.core.pictures.decode import decode  # it needs Pillow, which Blender's own Python lacks
 
     return decode(path)[..., :3]

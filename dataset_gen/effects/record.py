@@ -30,12 +30,12 @@ def bands(size: int, readout_s: float) -> list[tuple[slice, float]]:
 
 
 def row_delays(size: int, readout_s: float) -> np.ndarray:
-    """[size] seconds after the middle row."""
+    """Return [size] seconds after the middle row."""
     return np.asarray(readout_s * ((np.arange(size) + 0.5) / size - 0.5))
 
 
 def moments(shutter_s: float) -> list[tuple[float, float]]:
-    """(share of the light, seconds after the middle) of the moments of an exposure; the shares sum to 1."""
+    """Return (share of the light, seconds after the middle) of the moments of an exposure; the shares sum to 1."""
     nodes, weights = np.polynomial.legendre.leggauss(MOMENTS)
     return [(0.5 * w, 0.5 * shutter_s * x) for w, x in zip(weights.tolist(), nodes.tolist(), strict=True)]
 
@@ -196,7 +196,7 @@ def drift_gains(percent: float, n_timesteps: int, fps: float, rng: np.random.Gen
 
 
 def slow_curve(n_timesteps: int, fps: float, rng: np.random.Generator) -> np.ndarray:
-    """[T] from 0 to 1, both reached: a few cycles over the record at most, and none faster than 1 Hz."""
+    """Return [T] from 0 to 1, both reached: a few cycles over the record at most, and none faster than 1 Hz."""
     seconds = n_timesteps / fps
     cycles = np.minimum(rng.uniform(_SLOWEST, _FASTEST, _TONES), _LIMIT_HZ * seconds)
     phases, sizes = rng.uniform(0.0, 2 * np.pi, _TONES), rng.uniform(0.5, 1.0, _TONES)
@@ -248,7 +248,7 @@ def turned(camera: SceneCamera, vector: np.ndarray) -> SceneCamera:
 
 
 def _shift(camera: SceneCamera, size: int, vector: np.ndarray) -> np.ndarray:
-    """[G, 2] pixels, over a grid of the picture up to its edges."""
+    """Return [G, 2] pixels, over a grid of the picture up to its edges."""
     edge = np.linspace(0.0, size, _GRID)
     places = np.stack(np.meshgrid(edge, edge), -1).reshape(-1, 2)
     return pixels_before(camera, size, vector, places) - places

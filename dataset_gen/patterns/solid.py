@@ -144,7 +144,7 @@ def _centres(count: int) -> np.ndarray:
 
 
 def of_grid(points: np.ndarray, height: int, width: int) -> np.ndarray:
-    """[H, W, 3] from a grid of points [R, S, 3] with u over its columns and v over its rows: bilinear."""
+    """Return [H, W, 3] from a grid of points [R, S, 3] with u over its columns and v over its rows: bilinear."""
     rows, columns = points.shape[:2]
     r, s = _centres(height) * (rows - 1), _centres(width) * (columns - 1)
     i, j = np.minimum(r.astype(int), rows - 2), np.minimum(s.astype(int), columns - 2)
@@ -154,7 +154,7 @@ def of_grid(points: np.ndarray, height: int, width: int) -> np.ndarray:
 
 
 def of_revolved(outline: Sequence[Sequence[float]], height: int, width: int) -> np.ndarray:
-    """[H, W, 3] of a surface that `meshes.revolve` makes of the same outline (radius, z)."""
+    """Return [H, W, 3] of a surface that `meshes.revolve` makes of the same outline (radius, z)."""
     path = np.asarray(outline, float)
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     v = _centres(height) * lengths[-1]
@@ -165,12 +165,12 @@ def of_revolved(outline: Sequence[Sequence[float]], height: int, width: int) -> 
 
 
 def of_tube(radius: float, length: float, height: int, width: int) -> np.ndarray:
-    """[H, W, 3] of a straight tube along z: stands for a swept one, whose bends a pattern should follow."""
+    """Return [H, W, 3] of a straight tube along z: stands for a swept one, whose bends a pattern should follow."""
     return of_revolved([(radius, 0.0), (radius, length)], height, width)
 
 
 def of_ball(height: int, width: int) -> np.ndarray:
-    """[H, W, 3] on the unit sphere, for a ball revolved from its south to its north pole."""
+    """Return [H, W, 3] on the unit sphere, for a ball revolved from its south to its north pole."""
     angle = np.pi * (_centres(height)[:, None] - 0.5)
     turn = 2.0 * np.pi * _centres(width)[None]
     flat = np.cos(angle)

@@ -127,7 +127,7 @@ def _load(root: Path, split: str) -> Capture | None:
 
 
 def _gains(truth: Truth) -> np.ndarray:
-    """[K, T] complex."""
+    """Return [K, T] complex."""
     if truth.gains is not None:
         return truth.gains
     return np.exp(2j * np.pi * np.outer(truth.freqs_hz, np.arange(truth.n_timesteps)) / truth.fps)

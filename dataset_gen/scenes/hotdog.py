@@ -37,7 +37,7 @@ class _Dog:
 
     @property
     def placed(self) -> np.ndarray:
-        """[4, 4]: from its own frame, with the sausage along x, to the plate."""
+        """Return [4, 4]: from its own frame, with the sausage along x, to the plate."""
         c, s = np.cos(self.heading), np.sin(self.heading)
         out = np.eye(4)
         out[:2, :2] = [[c, -s], [s, c]]

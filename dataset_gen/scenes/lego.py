@@ -15,7 +15,7 @@ FORWARD = (np.cos(np.radians(115.0)), np.sin(np.radians(115.0)), 0.0)  # the bul
 
 
 def place() -> np.ndarray:
-    """[4, 4] from stud pitches to the world."""
+    """Return [4, 4] from stud pitches to the world."""
     matrix = m.frame((0.0, 0.0, -0.46), (0.0, 0.0, 1.0), FORWARD)
     matrix[:3, :3] *= PITCH
     return matrix

@@ -157,7 +157,7 @@ def arms(model: b.BrickModel) -> None:
 
 
 def follow_of_pistons(name: str, vertices: np.ndarray) -> np.ndarray:
-    """[V]: pistons turn about their feet: they follow the blade by how far along they are; all else wholly."""
+    """Return [V]: pistons turn about their feet: they follow the blade by how far along they are; all else wholly."""
     if name not in ("pistons", "rods"):
         return np.ones(len(vertices))
     foot, head = _PISTON
@@ -167,7 +167,7 @@ def follow_of_pistons(name: str, vertices: np.ndarray) -> np.ndarray:
 
 
 def ripper(model: b.BrickModel) -> None:
-    """Behind: two beams, a cross beam and three shanks that end in claws."""
+    """Return the ripper: two beams, a cross beam and three shanks that end in claws."""
     for y in (-1.5, 1.5):
         arm = b.beam(4).moved(m.frame((-11.0, y, 2.9), (0, 1, 0), (1, 0, 0)))
         model.add("ripper", arm)

@@ -93,7 +93,7 @@ def _bulkhead(
 
 
 def _transom_point(y: float, z: float) -> np.ndarray:
-    """On the stern's face, a hair outside it."""
+    """Return a point just outside the stern's face."""
     s = HULL.level(np.array(0.0), z)
     edge = HULL.side(np.array(0.0), s)
     return np.array([edge[0] - 0.1 * abs(edge[1]) * (1.0 - (y / edge[1]) ** 2) - 0.002, y, z])

@@ -190,7 +190,7 @@ def _middle(leaves: Leaves, t: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 
 def _triangles() -> np.ndarray:
-    """[F, 3] of one sheet, without those that vanish at base and tip; normals along −z."""
+    """Return [F, 3] of one sheet, without those that vanish at base and tip; normals along −z."""
     r, s = (k.ravel() for k in np.meshgrid(np.arange(_ALONG - 1), np.arange(_ACROSS - 1), indexing="ij"))
     a, b = r * _ACROSS + s, r * _ACROSS + s + 1
     first, second = np.column_stack([a, b, b + _ACROSS]), np.column_stack([a, b + _ACROSS, a + _ACROSS])

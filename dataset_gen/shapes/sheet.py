@@ -24,7 +24,7 @@ def _quads(index: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _clean(vertices: np.ndarray, triangles: np.ndarray, uv: np.ndarray) -> Mesh:
-    """Without triangles that have no area (poles, welded rims) and without vertices that none uses."""
+    """Remove triangles without area (poles, welded rims) and unused vertices."""
     p = vertices[triangles]
     area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
     keep = area > 1e-12
@@ -33,7 +33,7 @@ def _clean(vertices: np.ndarray, triangles: np.ndarray, uv: np.ndarray) -> Mesh:
 
 
 def grid_uv(rows: int, columns: int) -> np.ndarray:
-    """[R, S, 2]: u over the columns, v over the rows, both 0 to 1."""
+    """Return [R, S, 2]: u over the columns, v over the rows, both 0 to 1."""
     u, v = np.meshgrid(np.linspace(0.0, 1.0, columns), np.linspace(0.0, 1.0, rows))
     return np.stack([u, v], -1)
 
@@ -172,7 +172,7 @@ class Outline:
         return reach + self.crest * np.exp(-((np.arctan2(c, s) / 0.33) ** 2))
 
     def rim(self, count: int, grow: float = 0.0) -> np.ndarray:
-        """[count, 2] in equal steps along the curve, counter-clockwise from +x; `grow` pushes it outwards."""
+        """Return [count, 2] in equal steps along the curve, counter-clockwise from +x; `grow` pushes it outwards."""
         angle = np.linspace(0.0, 2.0 * np.pi, 2001)
         fine = (self.radius(angle) + grow)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
         lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])

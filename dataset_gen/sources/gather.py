@@ -314,7 +314,7 @@ def _materials(
 
 
 def _generated(mesh: bpy.types.Mesh) -> np.ndarray:
-    """[V, 3]: undeformed positions in the mesh's texture space, 0..1 over its bounding box."""
+    """Return [V, 3]: undeformed positions in the mesh's texture space, 0..1 over its bounding box."""
     undeformed = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("undeformed_co", undeformed)
     size = np.array(mesh.texspace_size, np.float64)

@@ -96,7 +96,7 @@ def repair_images(all_trees: Iterable[bpy.types.NodeTree]) -> list[str]:
 
 
 def _lost(image: bpy.types.Image | None) -> str:
-    """Why an image cannot be shown; "" if it can."""
+    """Return why an image cannot be shown; "" if it can."""
     if image is None:
         return "a texture has no image"
     if image.source not in ("FILE", "SEQUENCE", "TILED", "MOVIE") or image.packed_file:

@@ -53,7 +53,7 @@ class Body:
 
 
 def unit(direction: Sequence[float] | np.ndarray) -> np.ndarray:
-    """[3] float64 of length 1. The direction must not be zero."""
+    """Return [3] float64 of length 1. The direction must not be zero."""
     d = np.asarray(direction, np.float64)
     d = d / np.abs(d).max()
     return np.asarray(d / np.linalg.norm(d))
@@ -202,7 +202,7 @@ class Jiggle(Field):
     seed: Annotated[int, _seed] = 0
 
     def profile(self, points: np.ndarray) -> np.ndarray:
-        """[V], 0 where it is held."""
+        """Return [V], 0 where it is held."""
         if isinstance(self.held, tuple):
             distance = np.linalg.norm(points - np.array(self.held), axis=1)
         else:

@@ -39,7 +39,7 @@ def check_picture_size(where: Any, width: int, height: int) -> None:
 
 
 def world_to_camera(c2w: np.ndarray) -> np.ndarray:
-    """[…, 4, 4] rigid camera-to-world with OpenGL axes → world-to-camera with OpenCV axes, the same shape.
+    """Return […, 4, 4] rigid camera-to-world with OpenGL axes → world-to-camera with OpenCV axes, the same shape.
 
     OpenGL: x right, y up, looks along −z. OpenCV: x right, y down, looks along +z.
     """
@@ -144,7 +144,7 @@ def read_intrinsics(
 
 
 def camera_ids(viewmats: np.ndarray, Ks: np.ndarray) -> np.ndarray:
-    """[C] int64: one number per distinct camera (pose and intrinsics exactly equal), by first appearance."""
+    """Return [C] int64: one number per distinct camera (pose and intrinsics exactly equal), by first appearance."""
     rows = np.concatenate([viewmats.reshape(-1, 16), Ks.reshape(-1, 9)], axis=1) + 0.0  # -0.0 equals 0.0
     _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.int64)

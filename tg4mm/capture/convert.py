@@ -174,6 +174,6 @@ def link_pictures(capture: Capture, folder: Path) -> list[str]:
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """[4] unit quaternion wxyz, w ≥ 0, of a rotation matrix [3, 3]."""
+    """Return [4] unit quaternion wxyz, w ≥ 0, of a rotation matrix [3, 3]."""
     q = quats_of(rotation[None])[0]
     return q if q[0] >= 0 else -q

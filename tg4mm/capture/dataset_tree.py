@@ -23,7 +23,7 @@ def recognises(root: Path) -> bool:
 
 
 def load(root: Path, split: str, alpha: int) -> Capture:
-    """All timesteps of a split, or those of the ground truth in magnified/x<alpha>/ if alpha is not 0.
+    """Load all timesteps of a split, or those of the ground truth in magnified/x<alpha>/ if alpha is not 0.
 
     Raises CaptureError for a gap in the timesteps of a split, a missing split, no fps or a bad one, or other bad input.
     """
@@ -69,7 +69,7 @@ def _published(root: Path) -> dict[int, Path]:
 
 
 def _published_truth(root: Path, base: Path, scene: SceneDescription) -> Capture:
-    """Its pictures, which are of the test views in order of name where no transforms_test.json says more."""
+    """Return its pictures: those of the test views in order of name, unless transforms_test.json says more."""
     folders = _timestep_folders(base, base, gaps=True)
     test: list[TransformsFrame] = []
     views: list[TransformsFrame] = []

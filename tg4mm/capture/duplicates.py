@@ -65,7 +65,7 @@ class Duplicates:
         return tuple(np.flatnonzero(~self.is_new).tolist())
 
     def times(self, fps: Fraction) -> list[Fraction]:
-        """When the new pictures were taken, seconds from the first frame of a file of `fps` frames per second.
+        """Return the times of the new pictures, seconds from the first frame of a file of `fps` frames per second.
 
         In a pattern they were taken at equal distances; without one each was when it is first shown.
         """
@@ -128,7 +128,7 @@ def find_duplicates(
 
 
 def _blocks(grey: np.ndarray) -> np.ndarray:
-    """[B, pixels] of some of a picture's blocks, spread evenly."""
+    """Return [B, pixels] of some of a picture's blocks, spread evenly."""
     rows, columns = (min(BLOCK, n) for n in grey.shape)
     step = max(1, round((grey.size / _PIXELS) ** 0.5))
     height, width = (n // size * size for n, size in zip(grey.shape, (rows, columns), strict=True))
@@ -138,7 +138,7 @@ def _blocks(grey: np.ndarray) -> np.ndarray:
 
 @lru_cache
 def _patterns(n: int) -> list[tuple[bool, ...]]:
-    """All patterns of n frames, of which any but all are new, that no shorter one makes (Bresenham's)."""
+    """Return all patterns of n frames with some new and some not (Bresenham's) that no shorter pattern makes."""
     out = set()
     for m in range(1, n):
         if np.gcd(m, n) == 1:
@@ -148,7 +148,7 @@ def _patterns(n: int) -> list[tuple[bool, ...]]:
 
 
 def _repeated(pattern: tuple[bool, ...], length: int) -> np.ndarray:
-    """[T] bool; the first frame is new whatever the pattern says."""
+    """Return [T] bool; the first frame is new whatever the pattern says."""
     out = np.resize(np.array(pattern), length)
     out[0] = True
     return out

@@ -43,7 +43,7 @@ class Index:
 
     @property
     def times(self) -> list[Fraction]:
-        """[T] seconds since the first frame."""
+        """Return [T] seconds since the first frame."""
         return [(stamp - self.stamps[0]) * self.tick for stamp in self.stamps]
 
 
@@ -93,7 +93,7 @@ def picture_header(path: Path) -> ImageHeader:
 
 
 def picture(path: Path) -> np.ndarray:
-    """[H, W, 4] uint8 or uint16: `decode` of a picture, or a frame, upright."""
+    """Return [H, W, 4] uint8 or uint16: `decode` of a picture, or a frame, upright."""
     frame = frame_of(path)
     if frame is None:
         return decode(path)
@@ -148,7 +148,7 @@ class _Reader:
         return ImageHeader(pixels.shape[1], pixels.shape[0], 8 * pixels.itemsize)
 
     def read(self, number: int) -> np.ndarray:
-        """[H, W, 4] uint8 or uint16."""
+        """Return [H, W, 4] uint8 or uint16."""
         if self.at == number:
             return self.last
         with silent():

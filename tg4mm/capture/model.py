@@ -94,7 +94,7 @@ class Capture:
         return len(self.paths)
 
     def pinhole(self, i: int, image: np.ndarray) -> np.ndarray:
-        """[H, W, 4] of picture i as it is decoded."""
+        """Return [H, W, 4] of picture i as it is decoded."""
         lens = self.lenses[i] if self.lenses else None
         return image if lens is None else lens.apply(image)
 
@@ -114,7 +114,7 @@ class Capture:
         return replace(self, viewmats=relative_to(self.viewmats, shift), points=points, origin=origin)
 
     def selected(self, rows: np.ndarray) -> Capture:
-        """Only the images `rows`, whole numbers; camera_ids are those of this capture."""
+        """Return the capture with only the images `rows`, whole numbers; camera_ids are those of this capture."""
         return replace(
             self,
             viewmats=self.viewmats[rows],
@@ -129,7 +129,7 @@ class Capture:
 
 
 def times_of_timesteps(timesteps: np.ndarray, fps: float) -> np.ndarray:
-    """[C] float64, seconds: t / fps; zeros where the frame rate is not known (fps = 0)."""
+    """Return [C] float64, seconds: t / fps; zeros where the frame rate is not known (fps = 0)."""
     return timesteps / fps if fps else np.zeros(len(timesteps))
 
 

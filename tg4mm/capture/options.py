@@ -109,7 +109,7 @@ class RecordingConfig:
 
 
 class Intrinsics(StrEnum):
-    """Who shares a focal length and a lens."""
+    """Pictures that share a focal length and a lens."""
 
     shared = "shared"
     each = "each"

@@ -60,12 +60,12 @@ class ImageStack:
         return int(np.iinfo(self.data.dtype).max)
 
     def strips(self, rows: Sequence[int]) -> Strips:
-        """Some pictures, to be asked for by rows."""
+        """Return some pictures as a function of rows."""
         indices = np.asarray(rows)
         return lambda strip: self.data[indices, strip]
 
     def stored(self, i: int) -> np.ndarray:
-        """[H, W, 4] uint8 or uint16: image i."""
+        """Return [H, W, 4] uint8 or uint16: image i."""
         return self.data[i]
 
     def through(self, window: Window) -> ImageStack:
@@ -73,11 +73,11 @@ class ImageStack:
         return ImageStack(np.stack([window.averaged(image) for image in self.data]))
 
     def alpha(self, i: int) -> np.ndarray:
-        """[H, W] float32 coverage in 0..1 of image i."""
+        """Return [H, W] float32 coverage in 0..1 of image i."""
         return self.data[i, ..., 3] * np.float32(1 / self.maximum)
 
     def rgb(self, i: int, background: tuple[float, float, float] = WHITE) -> np.ndarray:
-        """[H, W, 3] float32 in 0..1: image i over the background, colour · alpha + background · (1 − alpha).
+        """Return [H, W, 3] float32 in 0..1: image i over the background, colour · alpha + background · (1 − alpha).
 
         Composited on display-referred values, as NeRF-synthetic's users do and as 3DGS's renderer blends.
         """
@@ -153,7 +153,7 @@ class Pictures(Protocol):
         """The stored value that means 1."""
 
     def strips(self, rows: Sequence[int]) -> Strips:
-        """Some pictures, to be asked for by rows."""
+        """Return some pictures as a function of rows."""
 
 
 @dataclass(frozen=True)
@@ -214,15 +214,15 @@ class FilePictures:
         return data
 
     def rgb(self, i: int) -> np.ndarray:
-        """[H, W, 3] float32 in 0..1: picture i over white."""
+        """Return [H, W, 3] float32 in 0..1: picture i over white."""
         return over_white(self.stored(i)[None], self.maximum)[0]
 
     def alpha(self, i: int) -> np.ndarray:
-        """[H, W] float32 coverage in 0..1 of picture i."""
+        """Return [H, W] float32 coverage in 0..1 of picture i."""
         return self.stored(i)[..., 3] * np.float32(1 / self.maximum)
 
     def stored(self, i: int) -> np.ndarray:
-        """[H, W, 4] uint8 or uint16: picture i."""
+        """Return [H, W, 4] uint8 or uint16: picture i."""
         return self._stored(i, picture(self.capture.paths[i]))
 
     def _stored(self, i: int, image: np.ndarray) -> np.ndarray:
@@ -267,7 +267,7 @@ class MaskedPictures:
 
 
 def over_white(raw: np.ndarray, maximum: int) -> np.ndarray:
-    """[S, H, W, 3] float32 in 0..1 of pictures [S, H, W, 4] as stored, blended as `ImageStack.rgb` does."""
+    """Return [S, H, W, 3] float32 in 0..1 of pictures [S, H, W, 4] as stored, blended as `ImageStack.rgb` does."""
     scale = np.float32(1 / maximum)
     out = raw[..., :3] * scale
     alpha = raw[..., 3:]
@@ -285,7 +285,7 @@ def pictures_for(capture: Capture) -> ImageStack | FilePictures:
 
 
 def mask_of(capture: Capture, i: int) -> np.ndarray | None:
-    """[H, W] bool of picture i, true where it counts; None where it has no mask.
+    """Return [H, W] bool of picture i, true where it counts; None where it has no mask.
 
     Raises CaptureError for a mask of another size than its picture, and for one that leaves nothing.
     """
@@ -303,7 +303,7 @@ def mask_of(capture: Capture, i: int) -> np.ndarray | None:
 
 
 def _read(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """[H, W] bool of a mask for a picture of (width, height)."""
+    """Return [H, W] bool of a mask for a picture of (width, height)."""
     state = path.stat()
     return _read_once(path, size, state.st_size, state.st_mtime_ns)
 
@@ -326,7 +326,7 @@ def _not_empty(white: np.ndarray, name: str) -> np.ndarray:
 
 
 def region_mask(text: str, size: tuple[int, int]) -> np.ndarray:
-    """[H, W] bool of "X,Y X,Y X,Y …", a polygon in pixels, or of a PNG's path, for pictures of (width, height).
+    """Return [H, W] bool of "X,Y X,Y X,Y …", a polygon in pixels, or of a PNG's path, for pictures of (width, height).
 
     Raises CaptureError for a polygon of fewer than three corners, one with no pixel in it, a mask of another size, and
     for a file that is not there.
@@ -345,7 +345,7 @@ def region_mask(text: str, size: tuple[int, int]) -> np.ndarray:
 
 
 def _corners(text: str) -> list[tuple[float, float]] | None:
-    """None for what is no list of pairs of numbers."""
+    """Return the corners; None if the text is no list of pairs of numbers."""
     try:
         pairs = [tuple(float(n) for n in part.split(",")) for part in text.split()]
     except ValueError:
@@ -369,9 +369,9 @@ class Window:
     def on(
         height: int, width: int, factor: int = 1, wanted: np.ndarray | None = None, margin: int = 0
     ) -> Window:
-        """About the pixels `wanted` [H, W] bool, and `margin` pixels around them, or the whole picture.
+        """Return the window with the pixels `wanted` [H, W] bool and `margin` pixels around, or with the whole picture.
 
-        What makes no whole square is cut off.
+        Incomplete squares are cut off.
         """
         rows, columns = slice(0, height), slice(0, width)
         if wanted is not None:
@@ -385,27 +385,27 @@ class Window:
         return self.rows, self.columns
 
     def K(self, K: np.ndarray) -> np.ndarray:
-        """[..., 3, 3]: intrinsics in its own pixels."""
+        """Return [..., 3, 3]: intrinsics in its own pixels."""
         out = K.copy()
         out[..., :2, 2] -= np.array([self.left, self.top], K.dtype)
         out[..., :2, :] /= self.factor
         return out
 
     def part(self, image: np.ndarray) -> np.ndarray:
-        """[rows · factor, columns · factor, …] of an image [H, W, …], as it is."""
+        """Return [rows · factor, columns · factor, …] of an image [H, W, …], as it is."""
         height, width = self.rows * self.factor, self.columns * self.factor
         return image[self.top : self.top + height, self.left : self.left + width]
 
     def all_of(self, mask: np.ndarray) -> np.ndarray:
-        """[rows, columns] bool: where every pixel of a square is in the mask [H, W]."""
+        """Return [rows, columns] bool: where every pixel of a square is in the mask [H, W]."""
         return self._squares(self.part(mask)).all((1, 3))
 
     def any_of(self, mask: np.ndarray) -> np.ndarray:
-        """[rows, columns] bool: where a pixel of a square is in the mask [H, W]."""
+        """Return [rows, columns] bool: where a pixel of a square is in the mask [H, W]."""
         return self._squares(self.part(mask)).any((1, 3))
 
     def averaged(self, image: np.ndarray) -> np.ndarray:
-        """[rows, columns, 4] of a stored RGBA image [H, W, 4]; of squares of several pixels uint16, 65535 is 1.
+        """Return [rows, columns, 4] of a stored RGBA image [H, W, 4]; of squares of several pixels uint16, 65535 is 1.
 
         Colours count by their alpha, as straight alpha has it.
         """
@@ -423,7 +423,7 @@ class Window:
         return np.rint(out * scale).astype(np.uint16)
 
     def _sum(self, part: np.ndarray) -> np.ndarray:
-        """[rows, columns, C] uint32 or uint64: sums over squares, first of rows, whose pixels lie together."""
+        """Return [rows, columns, C] uint32 or uint64: sums over squares, first of rows, whose pixels lie together."""
         kind, k = (np.uint64 if part.dtype == np.uint64 else np.uint32), self.factor
         down: np.ndarray = part[::k].astype(kind)
         for i in range(1, k):

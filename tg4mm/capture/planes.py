@@ -87,7 +87,7 @@ def upright(frame: Any, pixels: np.ndarray) -> np.ndarray:
 
 
 def luma(frame: Any) -> np.ndarray:
-    """[H, W]: the first plane of planar formats, else converted; uint8, or float32, 0 to 255, of more than 8 bits."""
+    """Return the luma [H, W], of planar formats as coded: uint8, or for more than 8 bits float32, 0 to 255."""
     name, bits = frame.format.name, frame.format.components[0].bits
     if bits > 8 and name.startswith("yuv4") and name.endswith("le"):
         plane = frame.planes[0]

@@ -64,7 +64,7 @@ def is_coded(root: Path) -> bool:
 
 
 def between_frames(root: Path, n_timesteps: int) -> np.ndarray | None:
-    """[T] bool: frames of the one video that its codec predicts from both sides; None where that is not known."""
+    """Return [T] bool: the B-frames of the one video; None if that is not known."""
     kinds = picture_kinds(root, n_timesteps)
     return None if kinds is None or 3 not in kinds else np.array(kinds) == 3
 

@@ -58,7 +58,7 @@ def stack_info(path: Path) -> Stack:
 
 
 def stack_pictures(path: Path) -> Iterator[np.ndarray]:
-    """[H, W, 4] uint8 or uint16 each, over their full range. Raises CaptureError where one cannot be decoded."""
+    """Yield [H, W, 4] uint8 or uint16 each, over their full range. Raises CaptureError where one cannot be decoded."""
     if path.suffix.lower() not in TIFF_SUFFIXES:
         yield from _photron(path).pictures()
         return

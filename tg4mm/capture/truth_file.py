@@ -69,7 +69,7 @@ def load_truth(root: Path, fps: float, n_timesteps: int) -> Truth:
 def _time_laws(
     file: Path, arrays: dict[str, np.ndarray], freqs: np.ndarray, fps: float, n_timesteps: int
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """(gains, magnified), None where they say no more than the frequencies do."""
+    """Return (gains, magnified), None where they say no more than the frequencies do."""
     gains = magnified = None
     if "gains" in arrays:
         shape = (len(freqs), n_timesteps)

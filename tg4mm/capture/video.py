@@ -140,7 +140,7 @@ def video_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> 
 
 
 def grey_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> Iterator[GreyFrame]:
-    """As `video_frames`, luma alone."""
+    """Yield frames like `video_frames`, but luma alone."""
     if is_stack(path):
         for time, pixels in _stacked(path, start_s, stop_s):
             yield GreyFrame(time, False, True, grey_of(pixels))
@@ -155,7 +155,7 @@ def is_untimed(path: Path) -> bool:
 
 
 def grey_of(rgba: np.ndarray) -> np.ndarray:
-    """[H, W] float32, 0 to 255: luma of pixels [H, W, 3 or 4] uint8 or uint16."""
+    """Return [H, W] float32, 0 to 255: luma of pixels [H, W, 3 or 4] uint8 or uint16."""
     scale = 255 / np.iinfo(rgba.dtype).max
     return np.asarray((rgba[..., :3].astype(np.float32) @ LUMA) * np.float32(scale))
 

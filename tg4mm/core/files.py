@@ -152,7 +152,7 @@ def rename(source: Path, target: Path) -> None:
 
 
 def flush(path: Path) -> None:
-    """Have a file's content on disk before its name is: after a power failure a name would stand for nothing."""
+    """Write a file's content to the disk before its name, which after a power failure would have no content."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 

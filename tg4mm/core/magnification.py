@@ -35,7 +35,7 @@ class TemporalFilter:
     taps: int = 0
 
     def checked(self) -> "TemporalFilter":
-        """Itself. Raises Tg4mmError for an unknown kind, and a length of the wrong parity."""
+        """Return itself. Raises Tg4mmError for an unknown kind, and a length of the wrong parity."""
         if self.kind not in FILTERS:
             raise Tg4mmError(f"filter is {self.kind!r}, expected {', '.join(FILTERS)}")
         wrong = self.taps % 2 == 0 if self.kind == "zero-phase" else self.taps % 2 == 1
@@ -50,7 +50,7 @@ class TemporalFilter:
         return self.taps or (even if self.kind == "published" else even + 1)
 
     def response(self, band: tuple[float, float], freqs_hz: ArrayLike, fps: float) -> np.ndarray:
-        """[K] complex128: the factor that a component exp(+i 2π f t / fps) of each frequency gets.
+        """Return [K] complex128: the factor that a component exp(+i 2π f t / fps) of each frequency gets.
 
         band (low, high) in Hz, 0 ≤ low < high < fps/2; low 0 makes it a low-pass, which keeps 0 Hz.
         """
@@ -62,7 +62,7 @@ class TemporalFilter:
 
 
 def fir(band: tuple[float, float], length: int, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """(taps [N], their lags [N] in samples) of a Hamming-windowed FIR; gain 1 at the band's centre.
+    """Return (taps [N], their lags [N] in samples) of a Hamming-windowed FIR; gain 1 at the band's centre.
 
     An odd length has its centre tap at lag 0. An even one has its centre between two, of which `ifftshift` (on
     length N) brings the later, tap N/2, to lag 0.
@@ -96,7 +96,7 @@ def apply_response(series: np.ndarray, response: np.ndarray) -> np.ndarray:
 
 
 def bins(n_timesteps: int, fps: float) -> np.ndarray:
-    """[T // 2 + 1] frequencies in Hz of the DFT bins of T timesteps."""
+    """Return [T // 2 + 1] frequencies in Hz of the DFT bins of T timesteps."""
     return np.fft.rfftfreq(n_timesteps, 1 / fps)
 
 
@@ -137,7 +137,7 @@ class BandGain:
 
     @property
     def band(self) -> tuple[float, float]:
-        """(low, high) in Hz."""
+        """Return (low, high) in Hz."""
         return self.low, self.high
 
 
@@ -177,7 +177,7 @@ class Magnification:
 
     @property
     def limits(self) -> tuple[tuple[float, float], ...]:
-        """(low, high) of each band, Hz; () for all frequencies."""
+        """Return (low, high) of each band, Hz; () for all frequencies."""
         return tuple(b.band for b in self.bands)
 
     @property
@@ -186,7 +186,7 @@ class Magnification:
         return max((b.alpha for b in self.bands), key=abs, default=self.everywhere)
 
     def inside(self, freqs_hz: np.ndarray) -> np.ndarray:
-        """[K] bool: which frequencies lie in a band, ends included; all of them without bands."""
+        """Return [K] bool: which frequencies lie in a band, ends included; all of them without bands."""
         freqs = np.asarray(freqs_hz)
         if not self.bands:
             return np.full(freqs.shape, True)
@@ -228,7 +228,7 @@ class Magnification:
         return self.everywhere == 0 and all(b.alpha == 0 for b in self.bands) and not self.suppressed
 
     def ideal(self, freqs_hz: np.ndarray) -> np.ndarray:
-        """[K] float64: the α of each frequency, 0 outside all bands."""
+        """Return [K] float64: the α of each frequency, 0 outside all bands."""
         freqs = np.asarray(freqs_hz, np.float64)
         gains = np.full(freqs.shape, self.everywhere)
         for b in self.bands:
@@ -236,7 +236,7 @@ class Magnification:
         return gains
 
     def response(self, freqs_hz: np.ndarray, fps: float) -> np.ndarray:
-        """[K] complex128: Σ over bands of α times the filter's response at each frequency.
+        """Return [K] complex128: Σ over bands of α times the filter's response at each frequency.
 
         Without bands the α of all frequencies, 0 Hz included: then a change since timestep 0 grows as a whole.
         """

@@ -91,7 +91,7 @@ def release(array: np.ndarray) -> None:
 
 
 def _folder() -> Path | None:
-    """None for the system's own choice."""
+    """Return the folder of temporary files; None for the system's choice."""
     if "TMPDIR" in os.environ or not (_ON_DISK.is_dir() and os.access(_ON_DISK, os.W_OK)):
         return None
     return _ON_DISK

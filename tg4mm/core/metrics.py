@@ -42,7 +42,7 @@ def ssim(image: np.ndarray, truth: np.ndarray) -> float:
 
 
 def ssim_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """[H, W] structural similarity, 11×11 Gaussian window of σ 1.5, K = (0.01, 0.03), mean over channels.
+    """Return [H, W] structural similarity, 11×11 Gaussian window of σ 1.5, K = (0.01, 0.03), mean over channels.
 
     Raises ValueError as `psnr`, and for an image smaller than the window.
     """
@@ -83,7 +83,7 @@ def flip(image: np.ndarray, truth: np.ndarray) -> float:
 
 
 def check_images(image: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both, if they are two images [H, W, 3] of one size with values in 0..1; else ValueError."""
+    """Return both images [H, W, 3]. Raises ValueError if sizes differ or values are outside 0..1."""
     image, truth = np.asarray(image), np.asarray(truth)
     if image.shape != truth.shape or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
         raise ValueError(

@@ -17,7 +17,7 @@ def ending_with_this() -> dict[str, str]:
 
 
 def end_with_parent() -> None:
-    """Be sent SIGTERM when the parent dies, if that asked for it. Windows: nothing is done."""
+    """Let this process get SIGTERM when its parent dies, if the parent requested it; not on Windows."""
     if os.environ.pop(_VARIABLE, "") != "1" or sys.platform == "win32":
         return
     if sys.platform == "linux":  # no thread of Python runs while Blender renders

@@ -62,7 +62,7 @@ def say(event: str, message: str, prefix: str = "", stream: TextIO | None = None
 
 @dataclass
 class _Few:
-    """When the next line of progress is due where only few are wanted, of whatever jobs there are."""
+    """Schedule of the lines of progress of all jobs, if only few are wanted."""
 
     due: float
     every_s: float = _FEW_FIRST_S
@@ -229,7 +229,7 @@ class PlainProgress:
         self._base: tuple[float, int] | None = None
 
     def update(self, done: int, **figures: Any) -> None:
-        """So many units are done in all."""
+        """Report the number of finished units."""
         with self._lock:
             self._done, self._figures = done, figures
             now = self._clock()
@@ -241,7 +241,7 @@ class PlainProgress:
                 self._show_if_due(now)
 
     def tick(self) -> None:
-        """Nothing is reported, but time passes."""
+        """Show the passing time if a line is due."""
         with self._lock:
             self._show_if_due(self._clock())
 

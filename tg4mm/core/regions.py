@@ -88,14 +88,14 @@ class Scale:
                 )
 
     def _between(self, a: Pixel, b: Pixel) -> np.ndarray:
-        """[2] from a to b: metres by the rectangle, else pixels."""
+        """Return [2] from a to b: metres by the rectangle, else pixels."""
         if not self.corners:
             return np.subtract(b, a)
         at = np.array([[*a, 1], [*b, 1]]) @ self._homography().T
         return np.asarray(np.diff(at[:, :2] / at[:, 2:], axis=0)[0])
 
     def _homography(self) -> np.ndarray:
-        """[3, 3] from pixels to metres right and down on the plane, from the upper left corner."""
+        """Return [3, 3] from pixels to metres right and down on the plane, from the upper left corner."""
         (w, h), rows = self.sides_m, []
         for (x, y), (u, v) in zip(self.corners, ((0, 0), (w, 0), (w, h), (0, h)), strict=True):
             rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y, -u], [0, 0, 0, x, y, 1, -v * x, -v * y, -v]]
@@ -112,7 +112,7 @@ class Scale:
         return _READ_PX * 2**0.5 / float(np.hypot.reduce(spans))
 
     def metres_at(self, at: Pixel) -> np.ndarray:
-        """[2, 2] metres right and down on the plane for a pixel right (first column) and down, at a place.
+        """Return [2, 2] metres right and down on the plane for a pixel right (first column) and down, at a place.
 
         Raises RegionError beyond the plane's horizon.
         """
@@ -159,7 +159,7 @@ class Region:
 
     @property
     def corners(self) -> np.ndarray:
-        """[P, 2] pixels: the outline as a polygon."""
+        """Return [P, 2] pixels: the outline as a polygon."""
         v = np.array(self.values)
         if self.shape == "box":
             return v[[0, 1, 2, 1, 2, 3, 0, 3]].reshape(4, 2)
@@ -182,12 +182,12 @@ class Region:
         return float(x), float(y)
 
     def mask(self, size: tuple[int, int]) -> np.ndarray:
-        """[H, W] float32: 1 for the pixels of a picture of `size` (w, h) whose middle lies inside."""
+        """Return [H, W] float32: 1 for the pixels of a picture of `size` (w, h) whose middle lies inside."""
         return inside(self.corners, size)
 
 
 def inside(corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """[H, W] float32: 1 where a pixel's middle lies in the polygon [P, 2]."""
+    """Return [H, W] float32: 1 where a pixel's middle lies in the polygon [P, 2]."""
     x, y = np.arange(size[0]) + 0.5, np.arange(size[1])[:, None] + 0.5
     odd = np.zeros((size[1], size[0]), bool)
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, 0), strict=True):

@@ -95,7 +95,7 @@ class VerifyOptions:
 
 
 class SameTime(StrEnum):
-    """When a paper preset is trained once more, for as long as modal took."""
+    """Condition for training a paper preset once more, for as long as modal took."""
 
     needed = "needed"
     always = "always"

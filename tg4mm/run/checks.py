@@ -154,7 +154,7 @@ def motion_of(file: Path, tensors: Mapping[str, Tensor], clock: tuple[float, int
 
 
 def _applied(file: Path, fields: np.ndarray, series: np.ndarray, n_modes: int) -> np.ndarray:
-    """[K, N, 6] complex64."""
+    """Return [K, N, 6] complex64."""
     if fields.ndim != 3 or fields.shape[2] != 6 or series.shape != (n_modes, len(fields)):
         raise RunError(
             f"{file}: fields {fields.shape} and series {series.shape}, expected [R, N, 6] and [{n_modes}, R]"

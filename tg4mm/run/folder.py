@@ -99,7 +99,7 @@ class Run:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All settings of the training, as `stage.name: value`."""
+        """Return all settings of the training, as `stage.name: value`."""
         return self.config["settings"]
 
     @property
@@ -186,7 +186,7 @@ class Run:
     def load_part(
         self, name: str, also: Collection[torch.dtype] = ()
     ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """(tensors, header) of a part: floating-point numbers of 32 or 64 bits, or of the types in `also`.
+        """Return (tensors, header) of a part: floating-point numbers of 32 or 64 bits, or of the types in `also`.
 
         Raises RunError if absent, torn, foreign, not finite, of other types, or of another run.
         """
@@ -246,7 +246,7 @@ class Run:
         self._write(f"checkpoint_{stage}", tensors, state=to_json(dict(state), "state"))
 
     def load_checkpoint(self, stage: str) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-        """(tensors, state) of an unfinished stage, None if there is none.
+        """Return (tensors, state) of an unfinished stage, None if there is none.
 
         Raises RunError if the file is torn, or was written for another dataset, preset or settings.
         """
@@ -400,7 +400,7 @@ class SplatRun(Run):
 
     @property
     def dataset(self) -> Path:
-        """No folder, since a splat file does not state its origin."""
+        """Return the file itself, since a splat file does not state its dataset."""
         return self.path
 
     @property

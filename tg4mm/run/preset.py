@@ -120,7 +120,7 @@ def _fit(run: Run, capture: Capture, configs: Mapping[str, Any], device: str) ->
 
 
 def asked_masks(capture: Capture, configs: Mapping[str, Any]) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """[H, W] bool: what counts (space.mask) and where motion may be (motion.region) for the one fixed camera.
+    """Return [H, W] bool: what counts (space.mask) and where motion may be (motion.region) for the one fixed camera.
 
     None where it is not asked for. Raises CaptureError for bad masks, and where there is not one fixed camera.
     """

@@ -171,7 +171,7 @@ def most_moving_line(video: np.ndarray, axis: Axis | None = None) -> tuple[Axis,
 
 
 def difference_maps(video: np.ndarray, count: int | None = None) -> tuple[np.ndarray, float]:
-    """([n, H, W] maps, scale): D_t(p) = |I(p, t + 1) − I(p, t)|, [TG4MM] Eq. (17), mean over channels.
+    """Return ([n, H, W] maps, scale): D_t(p) = |I(p, t + 1) − I(p, t)|, [TG4MM] Eq. (17), mean over channels.
 
     The first `count` maps of a video [T, H, W, 3] (the paper shows 6 of its first 7 frames), or all T − 1.
     `scale` is the largest value: one colour scale for all maps. To compare several videos, take the largest
@@ -190,7 +190,7 @@ def difference_maps(video: np.ndarray, count: int | None = None) -> tuple[np.nda
 def amplitude_spectrum(
     motion: ModalMotion, weights: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(frequencies [K] Hz, amplitude [K] scene units): weighted mean over Gaussians of each phasor's length.
+    """Return (frequencies [K] Hz, amplitude [K] scene units): weighted mean over Gaussians of each phasor's length.
 
     The length of a phasor vector is sqrt(Σ |component|²): for motion along a line, the peak displacement.
     `weights` [N] ≥ 0, all 1 if None. Sorted by frequency. Raises ValueError if the weights do not fit.

@@ -47,7 +47,7 @@ class CodecSample:
 
     @property
     def luma(self) -> np.ndarray:
-        """[F, H, W], as the planes are."""
+        """Return [F, H, W], as the planes are."""
         return self.planes[:, : self.planes.shape[1] * 2 // 3]
 
     @property
@@ -118,7 +118,7 @@ def _grown(masks: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def _noise(made: CodecSample, mean: np.ndarray) -> np.ndarray:
-    """[3 H / 2, W]: standard deviation of the key frames about the mean, smoothed, brightness and colours apart."""
+    """Return [3 H / 2, W]: the smoothed standard deviation of the key frames about the mean, luma and chroma apart."""
     n, height = len(made.planes), made.luma.shape[1]
     keys = made.planes[made.is_key] if made.is_key.any() else made.planes[:1]
     variance = (np.mean([(key - mean) ** 2 for key in keys], axis=0) * n / max(n - 1, 1)).astype(np.float32)
@@ -127,7 +127,7 @@ def _noise(made: CodecSample, mean: np.ndarray) -> np.ndarray:
 
 
 def _series(tones: Sequence[MeasuredTone], times: np.ndarray, axis: int) -> np.ndarray:
-    """[F] pixels."""
+    """Return [F] pixels."""
     waves = [(t.phasor[axis] * np.exp(2j * np.pi * t.frequency_hz * times)).real for t in tones]
     return np.sum(waves, axis=0)
 

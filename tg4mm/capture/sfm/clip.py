@@ -183,7 +183,7 @@ def _fit(times: list[Fraction], fps: Fraction, tick: Fraction, numbers: np.ndarr
 
 
 def _numbers(times: list[Fraction]) -> np.ndarray:
-    """[T] frames' numbers from 0, where some are missing."""
+    """Return [T] frames' numbers from 0, where some are missing."""
     steps = np.diff([float(time) for time in times])
     median = np.sort(steps)[len(steps) // 2]
     near = steps[np.abs(steps - median) <= median / 2]
@@ -191,7 +191,7 @@ def _numbers(times: list[Fraction]) -> np.ndarray:
 
 
 def _misfits(times: list[Fraction], fps: Fraction, numbers: np.ndarray) -> np.ndarray:
-    """[T] seconds by which stamps are later than a regular clock that begins with the first."""
+    """Return [T] seconds by which stamps are later than a regular clock that begins with the first."""
     return np.array([float(time - times[0]) for time in times]) - numbers / float(fps)
 
 
@@ -273,7 +273,7 @@ def extract_frames(
 
 @dataclass(frozen=True)
 class Sources:
-    """Either photographs, or recordings (one clip for each camera or place), and perhaps a sweep."""
+    """Input: either photographs, or recordings (one clip for each camera or place), and perhaps a sweep."""
 
     path: Path  # as given
     photographs: Clip | None = None

@@ -152,7 +152,7 @@ def video_of(out: Path, clip: Clip) -> Path:
 
 
 def video_frames_of(out: Path, track: Track) -> list[str] | None:
-    """[T] the track's pictures as frames of its video in the dataset; None where they are files.
+    """Return [T] the track's pictures as frames of its video in the dataset; None where they are files.
 
     So are those that are undistorted, and those of a container that does not list every frame.
     """

@@ -149,7 +149,7 @@ def _duplicates(survey: Survey) -> str:
 
 
 def motion_of(survey: Survey) -> str:
-    """Why a camera is taken for a moving one, one clause."""
+    """Return the reason, one clause, why a camera counts as moving."""
     return _moves(survey).removeprefix("is no fixed camera: ")
 
 
@@ -204,7 +204,7 @@ def _moment(survey: Survey, frame: int) -> str:
 
 
 def _times(survey: Survey) -> np.ndarray:
-    """[T] seconds; of a folder, as if filmed at 30 frames per second."""
+    """Return [T] seconds; of a folder, as if filmed at 30 frames per second."""
     return np.arange(len(survey)) / 30 if survey.times is None else np.array([float(t) for t in survey.times])
 
 

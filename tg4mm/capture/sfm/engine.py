@@ -205,7 +205,7 @@ def most_alike(alike: np.ndarray, most: int = MOST_LIKE) -> list[tuple[int, int]
 
 
 def _largest(db: Any, name: str) -> np.ndarray:
-    """[≤ LARGEST, D] float32 descriptors of unit length, those of the largest features."""
+    """Return [≤ LARGEST, D] float32 descriptors of unit length, those of the largest features."""
     image = db.read_image_with_name(name).image_id
     keypoints = np.asarray(db.read_keypoints(image), np.float64)
     descriptors = np.asarray(db.read_descriptors(image).data, np.float32)
@@ -254,7 +254,7 @@ def left_pairs(database: Path, names: Sequence[str], done: Sequence[Pair]) -> li
 
 
 def loosely_tied(firm: np.ndarray) -> np.ndarray:
-    """[n] which pictures have fewer than FEWEST_FIRM firm pairs [n, n], or are not in the largest connected part."""
+    """Return the pictures with fewer than FEWEST_FIRM of the firm pairs [n, n], or outside the largest component."""
     _, parts = connected_components(csr_matrix(firm), directed=False)
     largest = np.bincount(parts).argmax()
     return (firm.sum(axis=1) < FEWEST_FIRM) | (parts != largest)

@@ -22,7 +22,7 @@ RATES_AGREE = 0.01  # relative, of cameras whose frames go into the same timeste
 
 @dataclass(frozen=True)
 class FrameTimes:
-    """When frames were taken."""
+    """Times of frames."""
 
     fps: float  # Hz
     times_s: dict[str, np.ndarray]  # of each clip, [T] seconds since its first frame
@@ -37,11 +37,11 @@ class Similarity:
     centre: np.ndarray  # [3]
 
     def points(self, xyz: np.ndarray) -> np.ndarray:
-        """[M, 3] points moved."""
+        """Return [M, 3] points moved."""
         return self.scale * (xyz - self.centre) @ self.rotation.T
 
     def viewmats(self, viewmats: np.ndarray) -> np.ndarray:
-        """[C, 4, 4] world-to-camera of the same cameras in the new world, lengths in new units."""
+        """Return [C, 4, 4] world-to-camera of the same cameras in the new world, lengths in new units."""
         moved = np.tile(np.eye(4), (len(viewmats), 1, 1))
         moved[:, :3, :3] = viewmats[:, :3, :3] @ self.rotation.T
         moved[:, :3, 3] = self.scale * (viewmats[:, :3, 3] + viewmats[:, :3, :3] @ self.centre)
@@ -198,7 +198,7 @@ def world_of(viewmats: np.ndarray, xyz: np.ndarray) -> Similarity:
 
 
 def up_axis(viewmats: np.ndarray) -> np.ndarray:
-    """[3] unit vector: across to the cameras' horizontal axes (least squares), on the side of their mean up.
+    """Return [3] unit vector: across to the cameras' horizontal axes (least squares), on the side of their mean up.
 
     Pictures are mostly taken level, so their rows are horizontal, however far the cameras look down. Where all rows
     point one way (cameras side by side), across is undetermined: then it is the mean up itself.

@@ -47,12 +47,12 @@ class Sight:
 
     @property
     def pose(self) -> np.ndarray:
-        """[3, 4] camera from world."""
+        """Return [3, 4] camera from world."""
         return np.asarray(self.image.cam_from_world().matrix())
 
     @property
     def ray(self) -> np.ndarray:
-        """[3] towards what the pixel shows, camera axes, z = 1."""
+        """Return [3] towards what the pixel shows, camera axes, z = 1."""
         return np.append(np.asarray(self.camera.cam_from_img(self.pixel)).ravel()[:2], 1.0)
 
     @property

@@ -335,7 +335,7 @@ class NoveltyMeter:
         return len(changes) >= FEWEST_KEYS and min(changes) >= max(NOISE, EVEN * max(changes))
 
     def frozen_frames(self, is_new: np.ndarray) -> np.ndarray:
-        """[T] bool: frames of runs of one picture in a recording that is alive otherwise.
+        """Return [T] bool: frames of runs of one picture in a recording that is alive otherwise.
 
         is_new [T] bool: frames that are no duplicates; the others are not counted.
         """
@@ -364,7 +364,7 @@ def runs(flags: np.ndarray, gap: int = 0) -> list[tuple[int, int]]:
 
 
 def _in_blocks(grey: np.ndarray) -> np.ndarray:
-    """[rows, columns, pixels] of each block."""
+    """Return [rows, columns, pixels] of each block."""
     rows, columns = (min(NOVELTY_BLOCK, n) for n in grey.shape)
     height, width = grey.shape
     blocks = grey.reshape(height // rows, rows, width // columns, columns)

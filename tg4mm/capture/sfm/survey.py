@@ -289,7 +289,7 @@ class _SurveyLook:
     def _found(
         self, times: list[Fraction] | None, fps: Fraction | None, info: VideoInfo | None
     ) -> Duplicates | None:
-        """None where the file's clock is not regular: such a file has no need of duplicates."""
+        """Return the duplicates; None if the file's clock is irregular, since such a file needs none."""
         if self._duplicates is None:
             return None
         if info is None:  # its pictures have no times to keep: a pattern alone tells when they were taken

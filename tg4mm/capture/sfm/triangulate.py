@@ -50,7 +50,7 @@ def points_of(reconstruction) -> SfmPoints:
 def outside_masks(
     xyz: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray, masks: np.ndarray, slack: int = 2
 ) -> np.ndarray:
-    """[M] bool: true for points that some picture shows as background.
+    """Return [M] bool: true for points that some picture shows as background.
 
     masks [V, H, W] bool, true on the object, here grown by `slack` pixels, since a feature lies on a pixel and a
     point does not. A point outside all pictures, or behind all cameras, counts as outside too.
@@ -143,19 +143,19 @@ class PosedViews(Protocol):
 
     @property
     def viewmats(self) -> np.ndarray:
-        """[V, 4, 4] world-to-camera, OpenCV axes."""
+        """Return [V, 4, 4] world-to-camera, OpenCV axes."""
 
     @property
     def Ks(self) -> np.ndarray:
-        """[V, 3, 3] pixels."""
+        """Return [V, 3, 3] pixels."""
 
     @property
     def rgb(self) -> np.ndarray:
-        """[V, H, W, 3] in 0..1."""
+        """Return [V, H, W, 3] in 0..1."""
 
     @property
     def alpha(self) -> np.ndarray:
-        """[V, H, W] in 0..1."""
+        """Return [V, H, W] in 0..1."""
 
     @property
     def size(self) -> tuple[int, int]:

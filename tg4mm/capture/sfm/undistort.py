@@ -35,7 +35,7 @@ class Lens:
         return self.source is None and self.turns % 4 == 0
 
     def checked(self, path: Path, size: tuple[int, int]) -> "Lens":
-        """Itself. Raises CaptureError for a picture of another size (width, height) than the camera's."""
+        """Return itself. Raises CaptureError for a picture of another size (width, height) than the camera's."""
         if self.taken_of is not None and size != self.taken_of:
             raise CaptureError(
                 f"{path}: is {size[0]}×{size[1]} pixels, but its camera's pictures are "
@@ -44,11 +44,11 @@ class Lens:
         return self
 
     def viewmat(self, viewmat: np.ndarray) -> np.ndarray:
-        """[4, 4] world-to-camera of the pinhole, from that of the camera."""
+        """Return [4, 4] world-to-camera of the pinhole, from that of the camera."""
         return quarter_turned(viewmat, self.turns)
 
     def apply(self, image: np.ndarray) -> np.ndarray:
-        """[h, w, 3 or 4] with straight alpha, 8 or 16 bits → [H, W, 3 or 4] uint8, bilinear on colour · alpha."""
+        """Undistort [h, w, 3 or 4] of 8 or 16 bits to [H, W, 3 or 4] uint8, bilinearly on colour · alpha."""
         if self.source is None and image.dtype == np.uint8:
             return np.ascontiguousarray(np.rot90(image, self.turns))
         pixels = image.astype(np.float32) / np.iinfo(image.dtype).max
@@ -73,7 +73,7 @@ class Lens:
 
 
 def quarter_turned(viewmat: np.ndarray, turns: int) -> np.ndarray:
-    """[4, 4] world-to-camera of the same camera, its picture turned counterclockwise by so many times 90°."""
+    """Return [4, 4] world-to-camera of the same camera, its picture turned counterclockwise by so many times 90°."""
     turn = np.eye(4)
     turn[:3, :3] = np.linalg.matrix_power(_QUARTER, turns % 4)
     return turn @ viewmat

@@ -92,7 +92,7 @@ class TrackedRegion:
 
     @property
     def inside(self) -> np.ndarray:
-        """[h, w] 1 in the box where the region is, else 0."""
+        """Return [h, w] 1 in the box where the region is, else 0."""
         out = np.zeros(self.shape, np.float32)
         part = np.zeros((self.inner[0].stop - self.inner[0].start, self.inner[1].stop - self.inner[1].start))
         part.ravel()[self.index[self.root > 0]] = 1
@@ -100,7 +100,7 @@ class TrackedRegion:
         return out
 
     def cut(self, pictures: np.ndarray) -> np.ndarray:
-        """[2, F, P] float32, weighted, of pictures [F, h, w] of the inner box."""
+        """Return [2, F, P] float32, weighted, of pictures [F, h, w] of the inner box."""
         flat = pictures.reshape(len(pictures), -1)
         return np.stack(
             [
@@ -145,7 +145,7 @@ class RowClock:
         return RowClock(region, times_s, delays, bands, whole)
 
     def by_row(self, shift: np.ndarray) -> np.ndarray:
-        """[F, h, 2] from [F, 2], at the time of the region as a whole."""
+        """Return [F, h, 2] from [F, 2], at the time of the region as a whole."""
         unique, which = np.unique(self.delays_s, return_inverse=True)
         each = [later(self.times_s, shift.T, delay - self.delay_s).T for delay in unique]
         return np.stack(each, 1)[:, which]
@@ -155,7 +155,7 @@ class RowClock:
         return self.brought(*self.parts_of(template, pictures))
 
     def parts_of(self, template: Template, pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """[2, B, f, 8] products of each band of some pictures, and energies [2, f]."""
+        """Return [2, B, f, 8] products of each band of some pictures, and energies [2, f]."""
         difference = template.difference(pictures)
         parts = [
             template.banded_products(part, half, [ends[half] for _, ends in self.bands])
@@ -164,7 +164,7 @@ class RowClock:
         return np.stack(parts), np.einsum("cfp,cfp->cf", difference, difference)
 
     def brought(self, parts: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """[2, F, 8] products at the time of the region, and the energies."""
+        """Return [2, F, 8] products at the time of the region, and the energies."""
         total = np.zeros((len(parts), *parts.shape[2:]))
         for b, (delay, _) in enumerate(self.bands):
             part = np.moveaxis(parts[:, b], 1, -1)  # [2, 8, F]
@@ -190,7 +190,7 @@ class RegionMotion:
 
     @property
     def whole(self) -> np.ndarray:
-        """[F, 2] pixels right and down of both halves together."""
+        """Return [F, 2] pixels right and down of both halves together."""
         total = self.normals.sum(0)
         total = total + (1e-9 * np.trace(total) + 1e-12) * np.eye(3)
         weighted = np.einsum("cij,cfj->fi", self.normals, self.shift)
@@ -215,7 +215,7 @@ def _other_share(misfit: np.ndarray, change: np.ndarray) -> float:
 
 
 def _hidden(misfit: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """[F] bool: frames in which an object occludes the region, with some around them; none if most would be."""
+    """Return [F] bool: frames in which an object occludes the region, with some around them; none if most would be."""
     noise = float(np.percentile(misfit, _QUIET))
     unlike = misfit > np.maximum(_CLEAR * noise + _CLEAR_LEVELS2, _MOSTLY * change)
     out = binary_dilation(unlike, iterations=_AROUND) if unlike.any() else unlike

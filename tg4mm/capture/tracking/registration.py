@@ -24,7 +24,7 @@ _WIDEST = 256  # pixels a side of the picture that offsets are sought by
 
 
 def whole_offsets(pictures: np.ndarray, inside: np.ndarray, reach: int) -> np.ndarray:
-    """[F, 2] whole pixels right and down that a part has moved by since the first picture, `reach` at most.
+    """Return [F, 2] whole pixels right and down that a part has moved by since the first picture, `reach` at most.
 
     pictures [F, h, w], which extend at least `reach` beyond the part; inside [h, w]: 1 in the part, 0 elsewhere.
     """

@@ -58,7 +58,7 @@ class Grid:
         return self.rows * self.columns
 
     def cut(self, pictures: np.ndarray) -> np.ndarray:
-        """[C, F, S²] float32 of pictures [F, H, W]."""
+        """Return [C, F, S²] float32 of pictures [F, H, W]."""
         n, size = len(pictures), self.size
         rows, columns = (slice(self.edge, self.edge + n * size) for n in (self.rows, self.columns))
         inside = pictures[:, rows, columns]
@@ -66,11 +66,11 @@ class Grid:
         return np.ascontiguousarray(tiles, np.float32).reshape(len(self), n, size * size)
 
     def picture(self, values: np.ndarray) -> np.ndarray:
-        """[..., rows, columns] of values [..., C]."""
+        """Return [..., rows, columns] of values [..., C]."""
         return values.reshape(*values.shape[:-1], self.rows, self.columns)
 
     def centres(self) -> np.ndarray:
-        """[C, 2] pixels right and down."""
+        """Return [C, 2] pixels right and down."""
         row, column = np.divmod(np.arange(len(self)), self.columns)
         return (np.stack([column, row], 1) + 0.5) * self.size + self.edge
 
@@ -137,13 +137,13 @@ class Template:
         return difference @ self._columns, np.einsum("cfp,cfp->cf", difference, difference)
 
     def difference(self, pictures: np.ndarray) -> np.ndarray:
-        """[C, F, P] of pictures [F, H, W] from the mean."""
+        """Return [C, F, P] of pictures [F, H, W] from the mean."""
         difference = self.parts.cut(pictures)
         difference -= self._rest[:, None]
         return difference
 
     def banded_products(self, difference: np.ndarray, part: int, bands: Sequence[slice]) -> np.ndarray:
-        """[B, F, 6 or 8]: the inner products of one part's differences [F, P], for bands of its pixels apart."""
+        """Return [B, F, 6 or 8]: the inner products of one part's differences [F, P], for bands of its pixels apart."""
         return np.stack([difference[:, band] @ self._columns[part, band] for band in bands])
 
     def motion_equations(self) -> tuple[np.ndarray, np.ndarray]:
@@ -161,7 +161,7 @@ class Template:
         return normals, left @ self.of_instruments @ left.transpose(0, 2, 1)
 
     def together(self, shift: np.ndarray) -> np.ndarray:
-        """[F, 2] of shifts [C, F, 2 or 3]: their mean, weighted by each part's information."""
+        """Return [F, 2] of shifts [C, F, 2 or 3]: their mean, weighted by each part's information."""
         if len(shift) == 1:
             return np.asarray(shift[0, :, :2])
         normals = self.motion_equations()[0]
@@ -201,7 +201,7 @@ class Template:
         )
 
     def _left(self, p: np.ndarray, by_model: np.ndarray, energy: np.ndarray) -> np.ndarray:
-        """[C, F]: the energy that offset, gain and shift leave."""
+        """Return [C, F]: the energy that offset, gain and shift leave."""
         left = energy - 2 * (p * by_model).sum(-1)
         return np.asarray(left + np.einsum("cfi,cij,cfj->cf", p, self._model_products, p, optimize=True))
 
@@ -240,7 +240,7 @@ def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _higher_terms(p: np.ndarray) -> np.ndarray:
-    """[C, F, 7]: factors of M's second and third derivatives (xx, xy, yy, xxx, xxy, xyy, yyy) in d."""
+    """Return [C, F, 7]: factors of M's second and third derivatives (xx, xy, yy, xxx, xxy, xyy, yyy) in d."""
     gain = 1 + p[..., 1]
     x, y = (np.clip(p[..., k] / gain, -_FURTHEST_PX, _FURTHEST_PX) for k in (2, 3))
     xx, xy, yy = (q.mean(1, keepdims=True) for q in (x * x, x * y, y * y))

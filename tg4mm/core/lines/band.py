@@ -72,7 +72,7 @@ def tone_in(
 def _answers(
     grid: np.ndarray, t: np.ndarray, y: np.ndarray, low: float, known: np.ndarray, high: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """At frequencies [M]: phasors [M, D] at t = 0, variances of their parts [M, D], and weights [M] of sum 1."""
+    """Return for frequencies [M] phasors [M, D] at t = 0, variances [M, D] of their parts, and weights [M] of sum 1."""
     each = [_at_each(grid, t, component, low, known[d], high) for d, component in enumerate(y.T)]
     means, variances, evidence = (np.stack(part, 1) for part in zip(*each, strict=True))
     total = evidence.sum(1)

@@ -148,7 +148,7 @@ def fit_line_near(values: np.ndarray, times_s: np.ndarray, hz: float, half_hz: f
 
 
 def projected(lines: Sequence[Line], values: np.ndarray, times_s: np.ndarray) -> np.ndarray:
-    """[K, D] phasors of lines [K] in values [T, D], by least squares beside a slow trend; shapes as they are."""
+    """Return [K, D] phasors of lines [K] in values [T, D], by least squares beside a slow trend; shapes as they are."""
     shapes = [_shape_of(line, np.asarray(times_s, np.float64)) for line in lines]
     phasors = solved(shapes, np.asarray(times_s, np.float64), np.asarray(values, np.float64))[0]
     turn = [np.exp(-2j * np.pi * s.hz * s.middle_s(np.asarray(times_s))) for s in shapes]

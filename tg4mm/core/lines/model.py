@@ -47,7 +47,7 @@ class LineShape:
         return float(t[self.start] if self.decay >= 0 else t[-1])
 
     def envelope(self, t: np.ndarray) -> np.ndarray:
-        """[T]."""
+        """Return [T]."""
         e = np.exp(-self.decay * (t - self.from_s(t)))
         e[: self.start] = 0
         return e
@@ -63,7 +63,7 @@ class LineShape:
         return float(power @ t / power.sum())
 
     def wave(self, t: np.ndarray) -> np.ndarray:
-        """[T] complex, phase 0 at `middle_s`."""
+        """Return [T] complex, phase 0 at `middle_s`."""
         e = self.envelope(t)
         middle = float((power := e**2) @ t / power.sum())
         if self.modulation is not None:
@@ -72,12 +72,12 @@ class LineShape:
 
 
 def trend(t: np.ndarray) -> np.ndarray:
-    """[T, TREND + 1]."""
+    """Return [T, TREND + 1]."""
     return np.asarray(legendre.legvander(2 * (t - t[0]) / max(np.ptp(t), 1e-12) - 1, TREND))
 
 
 def design(shapes: Sequence[LineShape], t: np.ndarray) -> np.ndarray:
-    """[T, TREND + 1 + 2K]: the trend, then Re and −Im of each wave in turn."""
+    """Return [T, TREND + 1 + 2K]: the trend, then Re and −Im of each wave in turn."""
     return _columns([s.wave(t) for s in shapes], trend(t))
 
 
@@ -100,7 +100,7 @@ def solved(shapes: Sequence[LineShape], t: np.ndarray, y: np.ndarray) -> tuple[n
 def slopes(
     shape: LineShape, phasor: np.ndarray, t: np.ndarray, wave: np.ndarray | None = None
 ) -> list[np.ndarray]:
-    """[T, D] derivatives of a line by its frequency and, if that is free, its decay. wave: `shape.wave(t)`."""
+    """Return [T, D] derivatives of a line by its frequency and, if that is free, its decay. wave: `shape.wave(t)`."""
     turning = (shape.wave(t) if wave is None else wave)[:, None] * phasor
     by_hz = (2j * np.pi * (t - shape.middle_s(t))[:, None] * turning).real
     if not shape.is_free:
@@ -176,13 +176,13 @@ def samples(t: np.ndarray) -> int:
 
 
 def spectra(values: np.ndarray, t: np.ndarray) -> NDArray[np.complex128]:
-    """[F, D] at bins 1 … F below half the rate; |·|² is the variance of white noise."""
+    """Return [F, D] at bins 1 … F below half the rate; |·|² is the variance of white noise."""
     n = samples(t)
     return np.fft.rfft(gridded(values, t, n), axis=0)[1 : (n + 1) // 2] / np.sqrt(len(t))
 
 
 def level(power: np.ndarray) -> np.ndarray:
-    """[F, D] the noise's level in power [F, D]: a smooth fall with frequency, times a trimmed mean of its surroundings.
+    """Return the level [F, D] of the noise in power [F, D]: a smooth fall with frequency, times a local trimmed mean.
 
     The strongest fifth of the bins is left out, as lines may be, and what exponentially distributed power loses by
     that is made up for.
@@ -235,7 +235,7 @@ def log_floor(power: np.ndarray, hz: np.ndarray, allowed: np.ndarray) -> tuple[n
 
 
 def around(power: np.ndarray, taken: np.ndarray) -> np.ndarray:
-    """[F, D]: the mean of power [F, D] over 2·6 + 1 bins, for as many as the fit has taken from each [F] made up."""
+    """Return the mean of power [F, D] over 2·6 + 1 bins, scaled up by the degrees of freedom that the fit took."""
     half = min(AROUND, max((len(power) - 1) // 2, 0))
     kernel = np.ones(2 * half + 1)
 
@@ -247,7 +247,7 @@ def around(power: np.ndarray, taken: np.ndarray) -> np.ndarray:
 
 
 def sandwiched(columns: np.ndarray, levels: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """[P, P] XᵀΣX of columns X [T, D, P] for noise of level [F, D], not correlated between components."""
+    """Return [P, P] XᵀΣX of columns X [T, D, P] for noise of level [F, D], not correlated between components."""
     n = samples(t)
     out = np.zeros((columns.shape[2],) * 2)
     for d in range(columns.shape[1]):

@@ -122,7 +122,7 @@ def unknowns(shapes: Sequence[LineShape]) -> int:
 
 
 def _changes(shape: LineShape, t: np.ndarray, count: int, pairs: Sequence[float]) -> np.ndarray:
-    """[T, K]: pairs, s, s² and `count` cosines, 0 before the line begins."""
+    """Return [T, K]: pairs, s, s² and `count` cosines, 0 before the line begins."""
     begin = t[shape.start]
     since = ((t - begin) / (t[-1] - begin))[:, None]
     waves = [np.exp(2j * np.pi * off * (t - begin))[:, None] for off in pairs]

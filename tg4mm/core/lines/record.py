@@ -38,7 +38,7 @@ _KNOWN = 1000  # degrees of freedom of a level that is known from elsewhere
 
 
 def tone(times_s: np.ndarray, hz: float) -> np.ndarray:
-    """[T, 2]: cosine and sine."""
+    """Return [T, 2]: cosine and sine."""
     angle = 2 * np.pi * hz * times_s
     return np.stack([np.cos(angle), np.sin(angle)], 1)
 
@@ -46,7 +46,7 @@ def tone(times_s: np.ndarray, hz: float) -> np.ndarray:
 def envelope(
     times_s: np.ndarray, decay_per_s: float, from_s: float, start_s: float | None = None
 ) -> np.ndarray:
-    """[T]: exp(−decay (t − from_s)), 0 before `start_s`."""
+    """Return [T]: exp(−decay (t − from_s)), 0 before `start_s`."""
     since = times_s - from_s
     if start_s is None:
         return np.asarray(np.exp(-decay_per_s * since))
@@ -82,23 +82,23 @@ class Line:
 
     @property
     def amplitude(self) -> np.ndarray:
-        """[D] zero to peak, where the envelope is largest."""
+        """Return [D] zero to peak, where the envelope is largest."""
         return np.abs(self.phasor)
 
     @property
     def amplitude_deviation(self) -> np.ndarray:
-        """[D] standard deviation of each amplitude; of one hidden in noise that of its parts."""
+        """Return [D] standard deviation of each amplitude; of one hidden in noise that of its parts."""
         return np.sqrt(self._quadrature(np.exp(1j * np.angle(self.middle_phasor))))
 
     @property
     def phase_deviation(self) -> np.ndarray:
-        """[D] radians, π at most, at `middle_s`."""
+        """Return [D] radians, π at most, at `middle_s`."""
         across = np.sqrt(self._quadrature(1j * np.exp(1j * np.angle(self.middle_phasor))))
         return np.minimum(across / np.maximum(self.amplitude, 1e-300), np.pi)
 
     @property
     def middle_phasor(self) -> np.ndarray:
-        """[D] q of the class's docstring."""
+        """Return [D] q of the class's docstring."""
         return np.asarray(self.phasor * np.exp(2j * np.pi * self.hz * self.middle_s))
 
     @property
@@ -116,20 +116,20 @@ class Line:
         return float(ratio / self.decay_per_s * np.sqrt(self.covariance[1, 1]))
 
     def envelope(self, times_s: np.ndarray) -> np.ndarray:
-        """[T], 1 at most in the record."""
+        """Return [T], 1 at most in the record."""
         return envelope(times_s, self.decay_per_s, self.from_s, self.start_s)
 
     def columns(self, times_s: np.ndarray) -> np.ndarray:
-        """[T, 2]: cosine and sine of the record's own clock times the envelope."""
+        """Return [T, 2]: cosine and sine of the record's own clock times the envelope."""
         return self.envelope(times_s)[:, None] * tone(times_s, self.hz)
 
     def at(self, times_s: np.ndarray) -> np.ndarray:
-        """[T, D] the line's own part of the series."""
+        """Return [T, D] the line's own part of the series."""
         turning = self.envelope(times_s) * np.exp(2j * np.pi * self.hz * times_s)
         return np.asarray((turning[:, None] * self.phasor).real)
 
     def _quadrature(self, direction: np.ndarray) -> np.ndarray:
-        """[D] variance of Re(q conj(direction))."""
+        """Return [D] variance of Re(q conj(direction))."""
         n = len(self.phasor)
         re, im = 2 + np.arange(n), 2 + n + np.arange(n)
         c, a, b = self.covariance, direction.real, direction.imag
@@ -183,7 +183,7 @@ class Record:
         return replace(self, y=self.y @ self.back @ forth, back=np.linalg.inv(forth))
 
     def levels(self, shapes: Sequence[LineShape], residual: np.ndarray) -> np.ndarray:
-        """[F, D] variance of the noise around each bin, by what is left there."""
+        """Return [F, D] variance of the noise around each bin, by what is left there."""
         power = np.abs(spectra(residual, self.t)) ** 2
         taken = np.zeros(len(power))
         for s in shapes:
@@ -191,7 +191,7 @@ class Record:
         return np.maximum(around(power, taken + self._by_modulation(shapes, len(power))), self.least())
 
     def _by_modulation(self, shapes: Sequence[LineShape], n_bins: int) -> np.ndarray:
-        """[F] share of each bin's power that the shapes' modulations took away with them."""
+        """Return [F] share of each bin's power that the shapes' modulations took away with them."""
         taken = np.zeros(n_bins)
         for s in shapes:
             lasting = float(self.t[-1] - self.t[s.start])
@@ -268,7 +268,7 @@ def _change(s: LineShape, free: tuple[float, float]) -> str:
 
 
 def _whitening(y: np.ndarray, t: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """[D, D] that makes the components' noise alike: by what they share away from the strongest bins."""
+    """Return [D, D] that makes the components' noise alike: by what they share away from the strongest bins."""
     spectrum = spectra(y, t)
     scatter = np.sqrt(np.median(np.abs(spectrum) ** 2, axis=0) / np.log(2))
     scatter = np.maximum(np.maximum(scatter, noise), 1e-9 * np.sqrt((y**2).mean()) + 1e-300)
@@ -312,7 +312,7 @@ def _free_decays(
 def covariances(
     record: Record, shapes: Sequence[LineShape], phasors: np.ndarray, levels: np.ndarray
 ) -> list[np.ndarray]:
-    """[2 + 2D, 2 + 2D] of each line: Hz, decay per second, Re and Im of its phasor."""
+    """Return [2 + 2D, 2 + 2D] of each line: Hz, decay per second, Re and Im of its phasor."""
     x, numbers = _jacobian(record, shapes, phasors)
     scale = np.sqrt((x**2).sum((0, 1))) + 1e-300
     x = x / scale
@@ -351,7 +351,7 @@ def _slow_variance(s: LineShape, t: np.ndarray) -> tuple[float, float]:
 def _jacobian(
     record: Record, shapes: Sequence[LineShape], phasors: np.ndarray
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """[T, D, P] of all unknowns, and for each line which of them are its own; −1: a decay that is held."""
+    """Return [T, D, P] of all unknowns, and for each line which of them are its own; −1: a decay that is held."""
     each = np.eye(record.y.shape[1])
     columns: list[np.ndarray] = []
     numbers = []

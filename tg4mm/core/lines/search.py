@@ -116,7 +116,7 @@ class _Look:
         return _Look(residual, t, step, hz, turned, level, away, least)
 
     def all_along(self, rates: Sequence[float]) -> LineCandidate:
-        """Over the whole record. rates: e-foldings over it."""
+        """Return the best line over the whole record. rates: e-foldings over it."""
         shapes = [LineShape(0.0, rate / float(np.ptp(self.t))) for rate in rates]
         envelopes = np.stack([shape.envelope(self.t) for shape in shapes], 1)  # [T, R]
         weighted = (self.residual[:, None] * envelopes[..., None]).reshape(len(self.t), -1)
@@ -166,7 +166,7 @@ class _Look:
 
 
 def _turned(hz: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """[F, T] exp(−iωt) of frequencies of one step: each a product of two, an exponential costs more."""
+    """Return [F, T] exp(−iωt) of frequencies of one step: each a product of two, an exponential costs more."""
     few = int(np.sqrt(len(hz))) + 1
     coarse, fine = (
         np.exp(-2j * np.pi * frequencies[:, None] * t) for frequencies in (hz[::few], hz[:few] - hz[:1])
@@ -264,7 +264,7 @@ def _explained(record: Record, x: np.ndarray, more: np.ndarray, level: np.ndarra
 
 
 def _own(record: Record, shape: LineShape, b_frames: np.ndarray) -> np.ndarray:
-    """[T, P] a line in the first, the second, … picture between two others, and as that changes over the record."""
+    """Return [T, P]: a line in the first, second, … B-frame between two other frames, also changing over the record."""
     last = np.maximum.accumulate(np.where(b_frames, -1, np.arange(len(b_frames))))
     place = np.minimum(np.arange(len(b_frames)) - last, _PLACES) * b_frames
     wave, slow = shape.wave(record.t), (record.t - record.t.mean()) / np.ptp(record.t)

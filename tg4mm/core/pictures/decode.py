@@ -94,7 +94,7 @@ def _header(path: Path) -> ImageHeader:
 
 
 def decode(path: Path) -> np.ndarray:
-    """[H, W, 4] uint8 (uint16 for a 16-bit PNG or TIFF or an EXR); files without alpha get the largest value there.
+    """Decode [H, W, 4] uint8 (uint16 for a 16-bit PNG or TIFF or an EXR); files without alpha become opaque.
 
     Raises CaptureError if the file is truncated or damaged.
     """
@@ -139,7 +139,7 @@ def opened(path: Path) -> TiffImageFile:
 
 
 def bits_of(image: TiffImageFile) -> int:
-    """Per channel once decoded: 8, or 16 of what holds more."""
+    """Return the bits per channel after decoding: 8, or 16 for deeper files."""
     return 16 if max(image.tag_v2.get(_BITS, (1,))) > 8 else 8
 
 

@@ -50,7 +50,7 @@ def _header(path: Path) -> tuple[int, int, list[str]]:
 
 
 def decode(path: Path) -> np.ndarray:
-    """[H, W, 4] uint16: colour divided by alpha, clipped to 0 … 1, sRGB encoded; opaque if there is no A.
+    """Return [H, W, 4] uint16: colour divided by alpha, clipped to 0 … 1, sRGB encoded; opaque if there is no A.
 
     Colours are taken as linear Rec.709. Raises CaptureError as `linear` does.
     """
@@ -76,7 +76,7 @@ def linear(path: Path) -> np.ndarray:
 
 
 def channels(path: Path, names: Sequence[str], wanted: tuple[int, int] | None = None) -> np.ndarray:
-    """[H, W, C] float32 of the channels `names` of a picture, of the width and height `wanted` if given.
+    """Return [H, W, C] float32 of the channels `names` of a picture, of the width and height `wanted` if given.
 
     Raises CaptureError where they are not there, of another size, or not finite.
     """
@@ -164,7 +164,7 @@ def write(path: Path, channels: Mapping[str, np.ndarray]) -> None:
 
 
 def complete(path: Path, width: int, height: int) -> bool:
-    """True for a single-part scan-line EXR of this size, all of whose chunks lie inside the file.
+    """Return whether this is a single-part scan-line EXR of this size with all chunks inside the file.
 
     Reads the header and the table of chunks, not the pixels; needs no package.
     """

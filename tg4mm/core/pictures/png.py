@@ -43,7 +43,7 @@ def read_header(start: bytes) -> PngHeader | None:
 
 
 def decode(data: bytes) -> np.ndarray:
-    """[H, W, 4] uint16 RGBA, straight alpha, 65535 where the file has none. ValueError for a damaged file."""
+    """Return [H, W, 4] uint16 RGBA, straight alpha, 65535 where the file has none. ValueError for a damaged file."""
     header = read_header(data[:HEADER_BYTES])
     if header is None or header.bits != 16 or header.colour_type not in CHANNELS:
         raise ValueError("not a 16-bit PNG")
@@ -159,7 +159,7 @@ def unfilter(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:
 
 
 def _unfilter_by_row(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:
-    """None, Sub and Up: a row at a time."""
+    """Undo the filters None, Sub and Up, a row at a time."""
     out = filtered.copy()
     for r, kind in enumerate(filters):
         if kind == 1:
@@ -170,7 +170,7 @@ def _unfilter_by_row(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:
 
 
 def _unfilter_by_byte(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:
-    """All five filters, a byte at a time: the specification's own words, to be compiled."""
+    """Undo all five filters, a byte at a time, as the specification words it; compiled."""
     height, width, size = filtered.shape
     out = np.zeros((height + 1, width + 1, size), np.int16)  # row 0 and column 0: the zeros outside the image
     for r in range(height):

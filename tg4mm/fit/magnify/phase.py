@@ -83,7 +83,7 @@ def pyramid(shape: tuple[int, int], config: PyramidConfig) -> Any:
 
 @torch.no_grad()
 def sub_bands(shape: tuple[int, int], config: PyramidConfig | None = None) -> Iterator[SubBand]:
-    """All oriented sub-bands of images of `shape`, finest first; the residuals hold no phase and are not among them."""
+    """Yield all oriented sub-bands of images of `shape`, finest first, without the residuals, which have no phase."""
     config = config or PyramidConfig()
     made = pyramid(shape, config)
     impulse = torch.zeros(1, 1, *shape)
@@ -248,7 +248,7 @@ def _give(half: Tensor, spectrum: Tensor) -> None:
 
 
 def half_octave_bands(shape: tuple[int, int]) -> Iterator[SubBand]:
-    """All oriented sub-bands of images of `shape`, finest first, each cropped to the frequencies that it holds.
+    """Yield all oriented sub-bands of images of `shape`, finest first, each cropped to the frequencies that it holds.
 
     Put back they give the image but for the finest and the coarsest frequencies, to 0.5 %. Raises Tg4mmError for an odd
     or too small size.

@@ -46,7 +46,7 @@ class Gain:
     places: np.ndarray = field(default_factory=lambda: np.ones(1, np.float32))  # [N], or [1] for all
 
     def squares(self, fields: np.ndarray) -> np.ndarray:
-        """[N] squares of the error of fields [R, N, 6] by the gain: its deviation, and the correction."""
+        """Return [N] squares of the error of fields [R, N, 6] by the gain: its deviation, and the correction."""
         # one gain serves all places: it may be right at none
         share = self.deviation**2 + (self.ratio - 1) ** 2
         return share * np.einsum("rnc,rnc->n", *2 * [fields[..., :3].astype(np.float64)])
@@ -119,6 +119,6 @@ class PictureGain:
         return self.seen / self.along if self.along > 0 else 1.0
 
     def squares(self, fields: np.ndarray) -> np.ndarray:
-        """[N] squares of what fields [R, N, 6] lack of the displacement; from `LACKING` on they are a lower bound."""
+        """Return squares [N] of the displacement missing in fields [R, N, 6]; from `LACKING` on a lower bound."""
         lacking = min(abs(self.ratio - 1), LACKING - 1)
         return lacking**2 * np.einsum("rnc,rnc->n", *2 * [fields[..., :3].astype(np.float64)])

@@ -16,7 +16,7 @@ Alpha = float | np.ndarray  # one for all modes, or [K]: one each, as `Magnifica
 
 
 def mode_gains(motion: ModalMotion, t: float, alpha: Alpha) -> np.ndarray:
-    """[K] complex factors (1 + α_k) exp(i 2π f_k t / fps).
+    """Return [K] complex factors (1 + α_k) exp(i 2π f_k t / fps).
 
     Time courses of the motion replace the exponentials where it has them; modes that are never magnified have α_k = 0.
     """
@@ -28,12 +28,12 @@ def _sum(phasors: np.ndarray, gains: np.ndarray) -> np.ndarray:
 
 
 def displacement_at(motion: ModalMotion, t: float, alpha: Alpha = 0.0) -> np.ndarray:
-    """[N, 3] displacement from rest in scene units at timestep t (sub-frames allowed)."""
+    """Return [N, 3] displacement from rest in scene units at timestep t (sub-frames allowed)."""
     return _sum(motion.displacement, mode_gains(motion, t, alpha))
 
 
 def rotation_at(motion: ModalMotion, t: float, alpha: Alpha = 0.0) -> np.ndarray:
-    """[N, 3] rotation vectors from rest in radians, world axes, at timestep t."""
+    """Return [N, 3] rotation vectors from rest in radians, world axes, at timestep t."""
     return _sum(motion.rotation, mode_gains(motion, t, alpha))
 
 

@@ -172,7 +172,7 @@ class AppearanceProblem:
 
 
 def _rows(views: Sequence[AppearanceView], weights: np.ndarray | None) -> np.ndarray:
-    """[N, K] float32: sums of the operator's rows without the prior, which are no less than its diagonal."""
+    """Return [N, K] float32: sums of the operator's rows without the prior, which are no less than its diagonal."""
     n, count = views[0].harmonics.shape
     total, buffers = np.zeros((n, count), np.float32), Buffers()
     ones = np.ones((1, n, 1, 3), np.float32)
@@ -202,7 +202,7 @@ class MotionResidual:
     fields: np.ndarray  # [R, N, 6], their motion
 
     def of(self, fold: Fold, some: np.ndarray) -> Iterator[np.ndarray]:
-        """[s, H, W, 3] of each view of a fold, for `some` of the R components."""
+        """Yield [s, H, W, 3] of each view of a fold, for `some` of the R components."""
         for v in fold.views:
             targets = self.pictures[v, self.rows[some]]
             yield self.problem.residual(v, targets, self.fields[some])
@@ -219,7 +219,7 @@ class AppearanceFit:
 
     @staticmethod
     def of(motion: Problem, cameras: Sequence[PosedView], folds: Sequence[Fold]) -> "AppearanceFit":
-        """Beside a motion problem; folds: two of the cameras."""
+        """Build the fit beside a motion problem; folds: two halves of the cameras."""
         tilts = motion.gaussians.sh_degree > 0
         views = appearance_views(motion.views, cameras, motion.gaussians.means.numpy(), tilts)
         return AppearanceFit(
@@ -227,7 +227,7 @@ class AppearanceFit:
         )
 
     def between_passes(self, residual: MotionResidual) -> Correction | None:
-        """For `LinearFit.second_pass`, by one iteration; None where there is no appearance."""
+        """Return the appearance for `LinearFit.second_pass`, by one iteration; None without appearance."""
         changes, _ = self.fitted(residual, None, LOOK)
         if not changes.any():
             return None
@@ -259,7 +259,7 @@ class AppearanceFit:
         return changes, gains
 
     def shown(self, v: int, changes: np.ndarray) -> np.ndarray:
-        """[R, H, W, 3]: the pictures in view `v` of changes [R, N, K, 3]; until the next call."""
+        """Return [R, H, W, 3]: the pictures in view `v` of changes [R, N, K, 3]; until the next call."""
         return self.problem.views[v].jvp(changes * np.float32(HARMONIC), self.problem.buffers)
 
 

@@ -68,7 +68,7 @@ def select_smoothness(images: np.ndarray, problem: Problem, folds: Sequence[Fold
 
 
 def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:
-    """[R] bool: the components on which two folds do not agree. The known ones, else the strongest, are no noise.
+    """Return [R] bool: components on which two folds disagree; never the known ones, or without these the strongest.
 
     None where there is one fold, one component, or where all are one system.
     """
@@ -89,7 +89,7 @@ def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fo
 
 
 def _displacements(operator: Operator, images: Iterable[np.ndarray]) -> np.ndarray:
-    """[R, N, 3] after a few iterations."""
+    """Return [R, N, 3] after a few iterations."""
     solution = pcg(operator, operator.right_hand_sides(images), _FOR_NOISE, 1e-6)
     return operator.fields(solution.theta)[..., :3]
 
@@ -163,7 +163,7 @@ def few_iterations(
 def pixel_weights(
     targets: TargetImages, is_noise: np.ndarray, are_separate: bool = True
 ) -> np.ndarray | None:
-    """[V, H, W] float32, at most 1, from the variance of what is noise; None where nothing is known of it.
+    """Return [V, H, W] float32, at most 1, from the variance of what is noise; None where nothing is known of it.
 
     `are_separate`: target images belong to one component each, so that those of noise are noise.
     """
@@ -175,7 +175,7 @@ def pixel_weights(
 
 
 def pixel_noise(targets: TargetImages, is_noise: np.ndarray) -> np.ndarray:
-    """[V, H, W] float32: variance of the noise in one pixel and channel of one target image.
+    """Return [V, H, W] float32: variance of the noise in one pixel and channel of one target image.
 
     From what is not motion: the components that were not kept, and of the kept ones those that `is_noise` [ρ] bool
     names. Their energy, mean over channels, is divided by the number of components that hold it and smoothed (Gaussian

@@ -63,7 +63,7 @@ class LinearFit:
     def second_pass(
         self, first: Sequence[Arrays], is_small: bool, correction: Correction | None = None, rounds: int = 1
     ) -> np.ndarray:
-        """[P, R, N, 6]: the fields with what a second pass adds, edges reweighted where the motion `is_small`.
+        """Return [P, R, N, 6]: the fields with what a second pass adds, edges reweighted where the motion `is_small`.
 
         `correction`: what is taken from the target images; None: nothing. Each of the `rounds` corrects what the last
         one added.

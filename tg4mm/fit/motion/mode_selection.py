@@ -26,7 +26,7 @@ _OF_MOTION = 1e-6  # of the motion's power, where the run does not say its noise
 def peaks(
     motion: ModalMotion, lowest_hz: float, noise: np.ndarray | None = None, known_hz: Sequence[float] = ()
 ) -> np.ndarray:
-    """[K] Hz by falling strength: modes with two periods in the record, no weaker than 3 % of the strongest.
+    """Return [K] Hz by falling strength: modes with two periods in the record, no weaker than 3 % of the strongest.
 
     Below half the frame rate, where cosine and sine are distinct.
     Of many modes most are noise: then a peak is six times the median one too. And a drift, which is spread over
@@ -87,7 +87,7 @@ def frequency_notes(hz: Sequence[float] | np.ndarray, observations: Observations
 
 
 def worth_keeping(motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
-    """[K] bool: all but the weakest modes, as long as those are together (mean square) less than the noise.
+    """Return [K] bool: all but the weakest modes, as long as those are together (mean square) less than the noise.
 
     noise [N]: standard deviation of each Gaussian's displacement by noise, scene units; None: not known, then a
     millionth of the motion's power takes its place. 0 Hz is kept: it is where the motion's own zero lies.

@@ -34,11 +34,11 @@ class AppearanceModes:
     series: np.ndarray  # [F, R] complex128, one row for each frequency of the motion
 
     def coefficients(self, gains: np.ndarray) -> np.ndarray:
-        """[R] float32: c_r for gains [F] complex, magnification included."""
+        """Return [R] float32: c_r for gains [F] complex, magnification included."""
         return np.asarray((np.asarray(gains) @ self.series).real, np.float32)
 
     def selected(self, keep: np.ndarray) -> "AppearanceModes":
-        """Only the modes `keep` [F] bool."""
+        """Return only the modes `keep` [F] bool."""
         return replace(self, series=self.series[keep])
 
     @property
@@ -90,7 +90,7 @@ class ModalMotion:
     appearance: AppearanceModes | None = None  # changes of colour; None: there are none
 
     def gains_at(self, t: float) -> np.ndarray:
-        """[K] complex128: exp(i 2π f_k t / fps), or the motion's own gains.
+        """Return [K] complex128: exp(i 2π f_k t / fps), or the motion's own gains.
 
         Those are defined at whole timesteps: raises RunError for any other t.
         """
@@ -101,11 +101,11 @@ class ModalMotion:
         return np.asarray(self.gains[:, int(t)])
 
     def is_magnified(self) -> np.ndarray:
-        """[K] bool. By default all but 0 Hz, the offset from the rest pose to the motion's own zero."""
+        """Return [K] bool. By default all but 0 Hz, the offset from the rest pose to the motion's own zero."""
         return self.freqs_hz > 0 if self.magnified is None else self.magnified
 
     def selected(self, keep: np.ndarray) -> "ModalMotion":
-        """Only the modes `keep` [K] bool."""
+        """Return only the modes `keep` [K] bool."""
         return replace(
             self,
             freqs_hz=self.freqs_hz[keep],
@@ -148,7 +148,7 @@ def _rms(phasors: np.ndarray) -> float:
 
 
 def _rows(motion: ModalMotion, some: slice) -> np.ndarray:
-    """[2K, n, 6] float64: real parts, then imaginary parts, of displacement and rotation."""
+    """Return [2K, n, 6] float64: real parts, then imaginary parts, of displacement and rotation."""
     both = np.concatenate([motion.displacement[:, some], motion.rotation[:, some]], axis=2)
     return np.concatenate([both.real, both.imag]).astype(np.float64)
 

@@ -153,7 +153,7 @@ def observe(
 
 
 def _valid_mask(capture: Capture, frames: Sequence[PosedFrames]) -> np.ndarray:
-    """[V, H, W] bool: the pixels that count in all pictures of a pose."""
+    """Return [V, H, W] bool: the pixels that count in all pictures of a pose."""
     valid = np.ones((len(frames), capture.height, capture.width), bool)
     for v, of_camera in enumerate(frames):
         for row in of_camera.rows.tolist():
@@ -297,7 +297,7 @@ def strips(pictures: Pictures, frames: PosedFrames) -> Strips:
 
 
 def whole_pictures(observations: Observations, rows: np.ndarray) -> Iterator[np.ndarray]:
-    """[f, H, W, 3] float32 over white, a few of the pictures `rows` at a time."""
+    """Yield [f, H, W, 3] float32 over white, a few of the pictures `rows` at a time."""
     for first in range(0, len(rows), _AT_ONCE):
         raw = observations.pictures.strips(rows[first : first + _AT_ONCE].tolist())
         yield over_white(raw(slice(None)), observations.pictures.maximum)

@@ -195,7 +195,7 @@ def _by_the_pictures(model: TemporalModel, p: int, fields: np.ndarray, some: sli
 
 
 def _appearance_fit(model: TemporalModel) -> AppearanceFit | None:
-    """None where it was not asked for, or cameras are too few to separate it from noise."""
+    """Return the fit of appearance; None if it is off, or with too few cameras to separate it from noise."""
     is_observable = len(model.problem.views) >= LEAST and len(model.folds) == 2
     if not (model.separates and model.config.appearance and is_observable):
         return None
@@ -257,7 +257,7 @@ def _uncertainty(
 
 
 def _unseen(model: TemporalModel, hyper: Hyperparameters, gradients: np.ndarray) -> np.ndarray:
-    """[N, 3, 3]: covariance of the motion that the pictures of many synchronous cameras do not show."""
+    """Return [N, 3, 3]: covariance of the motion that the pictures of many synchronous cameras do not show."""
     problem = model.problem
     small = coarser(problem, model.observations.frames, _DRAWN_PIXELS // len(problem.views))
     operator = small.on_cpu(small.everything, hyper.smoothness_weight)

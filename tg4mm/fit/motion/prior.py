@@ -40,7 +40,7 @@ _LEAST = 0.01  # of its weight is left to an edge: the graph stays connected
 
 
 def gradient_to_rotation(axes: np.ndarray, scales: np.ndarray) -> np.ndarray:
-    """[N, 9, 3] float32: from gradients of displacement to rotation vectors in radians, world axes.
+    """Return [N, 9, 3] float32: from gradients of displacement to rotation vectors in radians, world axes.
 
     axes [N, 3, 3]: rotation matrices, whose columns the scales [N, 3] go with. Rows are gradients ∂u_of/∂x_along in the
     order (along, of). Within two principal axes a, b with variances s_a, s_b, a rotation W and a gradient G change the
@@ -185,7 +185,7 @@ class NeighbourGraph:
 
     @property
     def own_blocks(self) -> np.ndarray:
-        """[N, 4, 4] on the diagonal of `blocks`."""
+        """Return [N, 4, 4] on the diagonal of `blocks`."""
         return np.asarray(self.blocks.data[self.start[:-1] + np.arange(self.n_gaussians)])
 
     def add_prior(self, x: np.ndarray, smoothness: float, ridge: float, out: np.ndarray) -> None:
@@ -204,7 +204,7 @@ class NeighbourGraph:
         self.add_prior(times_blocks(blocks, v), -1.0, 0.0, v)
 
     def motion(self, field: np.ndarray) -> np.ndarray:
-        """[4N, 3] float32 -> displacement and rotation vector (radians) of every Gaussian, [N, 6] float32."""
+        """Return [4N, 3] float32 -> displacement and rotation vector (radians) of every Gaussian, [N, 6] float32."""
         motion = np.empty((self.n_gaussians, 6), np.float32)
         _to_motion(self.gradient_to_rotation, field.reshape(self.n_gaussians, -1), motion)
         return motion
@@ -283,7 +283,7 @@ def stiffness_root(graph: NeighbourGraph) -> csr_matrix:
 
 
 def edge_residual(graph: NeighbourGraph, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """[E] float32, scene units squared: the squared residual of every edge that fields a, b [R, 4N, 3] share.
+    """Return [E] float32, scene units squared: the squared residual of every edge that fields a, b [R, 4N, 3] share.
 
     Their residuals' inner product over fields and x, y, z, for a weight of 1; 0 where it is negative.
     """
@@ -295,7 +295,7 @@ def edge_residual(graph: NeighbourGraph, a: np.ndarray, b: np.ndarray) -> np.nda
 
 
 def _residual(graph: NeighbourGraph, owner: np.ndarray, field: np.ndarray) -> np.ndarray:
-    """[E, 3], for a weight of 1."""
+    """Return [E, 3], for a weight of 1."""
     rows = field.reshape(-1, ROWS, 3)
     out = rows[graph.other, 0] - rows[owner, 0]
     for k in range(1, ROWS):

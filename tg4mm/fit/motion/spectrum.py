@@ -34,19 +34,19 @@ _ROUNDED = 1e-3  # of a frame: files round times to so much
 
 
 def sinusoids(times_s: np.ndarray, freqs_hz: np.ndarray) -> np.ndarray:
-    """[2K, F]: cos 2πf_k t and −sin 2πf_k t in pairs: Re[m exp(i 2πf t)] = Re m · row 2k + Im m · row 2k + 1."""
+    """Return [2K, F]: cos 2πf_k t and −sin 2πf_k t in pairs: Re[m exp(i 2πf t)] = Re m · row 2k + Im m · row 2k + 1."""
     angles = 2 * np.pi * np.asarray(freqs_hz)[:, None] * times_s
     return np.stack([np.cos(angles), -np.sin(angles)], 1).reshape(-1, len(times_s))
 
 
 def polynomials(times_s: np.ndarray, degree: int) -> np.ndarray:
-    """[F, degree + 1]: Legendre polynomials over the record."""
+    """Return [F, degree + 1]: Legendre polynomials over the record."""
     span = max(float(np.ptp(times_s)), 1e-12)
     return np.asarray(legendre.legvander(2 * (times_s - times_s.min()) / span - 1, degree))
 
 
 def constant_and_trend(times_s: np.ndarray) -> np.ndarray:
-    """[2, F]."""
+    """Return [2, F]."""
     return np.stack([np.ones_like(times_s), times_s - times_s.mean()])
 
 
@@ -56,7 +56,7 @@ def residual(y: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def apply_series(series: np.ndarray, fields: np.ndarray) -> np.ndarray:
-    """[K, N, D] complex64: Σ_r series[k, r] fields[r] of temporal components' phasors [K, R] and fields [R, N, D]."""
+    """Return [K, N, D] complex64: Σ_r series[k, r] fields[r] of the components' phasors [K, R] and fields [R, N, D]."""
     values = np.tensordot(series.astype(np.complex64), fields, axes=1)
     return np.asarray(values, np.complex64)
 
@@ -157,7 +157,7 @@ def _sinusoid_phasors(sinusoids: "Sinusoids", weights: np.ndarray) -> dict[float
 
 
 def all_but_weakest(power: np.ndarray, some: np.ndarray, allowed: float) -> np.ndarray:
-    """[K] bool: all but the weakest of `some` [K] bool, whose power [K] is together at most `allowed`."""
+    """Return [K] bool: all but the weakest of `some` [K] bool, whose power [K] is together at most `allowed`."""
     weakest = np.flatnonzero(some)[np.argsort(power[some], kind="stable")]
     keep = np.full(len(power), True)
     keep[weakest[np.cumsum(power[weakest]) <= allowed]] = False
@@ -166,7 +166,7 @@ def all_but_weakest(power: np.ndarray, some: np.ndarray, allowed: float) -> np.n
 
 @dataclass(frozen=True)
 class FrameClock:
-    """When F frames were taken, in frames from the first one on, and the even clock that they lie on."""
+    """Times of F frames, in frames since the first, and their even clock."""
 
     frames: np.ndarray  # [F] float64
     length: int  # T of the even clock, from the first frame to the last
@@ -183,11 +183,11 @@ class FrameClock:
 
     @property
     def shares(self) -> np.ndarray:
-        """[F]: parts of the capture that are over."""
+        """Return [F]: parts of the capture that are over."""
         return self.frames / self.length
 
     def even(self, y: np.ndarray) -> np.ndarray:
-        """[T, S]: series [F, S] at every step of the clock, interpolated without overshoot where no frame lies."""
+        """Return series [F, S] at every step of the clock, [T, S], interpolated without overshoot at missing frames."""
         if len(self.frames) == self.length and not (self.frames % 1).any():
             return y
         return np.asarray(PchipInterpolator(self.frames, y)(np.arange(self.length)))
@@ -201,7 +201,7 @@ class Sinusoids:
     trend: bool = False
 
     def regressors(self, t: np.ndarray) -> np.ndarray:
-        """[F, P] at parts t [F] of the capture: a constant, the trend if any (zero at 0), cosines, sines."""
+        """Return [F, P] at parts t [F] of the capture: a constant, the trend if any (zero at 0), cosines, sines."""
         angles = 2 * np.pi * t[:, None] * self.cycles
         slow = [np.sin(2 * np.pi * TREND_CYCLES * t)[:, None]] if self.trend else []
         return np.hstack([np.ones((len(t), 1)), *slow, np.cos(angles), np.sin(angles)])
@@ -236,7 +236,7 @@ def find_sinusoids(series: np.ndarray, clock: FrameClock | None = None) -> Sinus
 
 
 def _cycles(y: np.ndarray, clock: FrameClock) -> np.ndarray:
-    """[J] lines of series [F, R], ascending, apart from each other and from half the frame rate."""
+    """Return [J] lines of series [F, R], ascending, apart from each other and from half the frame rate."""
     ends = 1 - _ON_BIN, clock.length / 2 - _APART
     left, strength, _ = np.linalg.svd(y, full_matrices=False)
     leading = (left * strength)[:, : min(_LEADING, int((strength > _NOTHING * strength[0]).sum()))]

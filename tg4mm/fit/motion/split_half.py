@@ -33,14 +33,14 @@ def folds_of(n_views: int, size: tuple[int, int], is_moving: bool, split: bool =
 
 
 def chessboard(size: tuple[int, int]) -> np.ndarray:
-    """[H, W] float32 of 0 and 1 in squares of 16 pixels (fewer in small pictures); size is (width, height)."""
+    """Return [H, W] float32 of 0 and 1 in squares of 16 pixels (fewer in small pictures); size is (width, height)."""
     side = max(min(_SQUARE, min(size) // 16), 1)
     x, y = (np.arange(n) // side for n in size)
     return ((x[None] + y[:, None]) % 2).astype(np.float32)
 
 
 def reliability(mean: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """[R] float32, 0 to 1: what to multiply R fields [R, N, 3] by, the means of those fitted to one half each."""
+    """Return the Wiener gain [R] float32, 0 to 1, of the mean of two fields [R, N, 3] fitted to one half each."""
     both = np.einsum("rnc,rnc->r", a, b, dtype=np.float64)
     power = np.einsum("rnc,rnc->r", mean, mean, dtype=np.float64)
     return np.clip(both / np.maximum(power, np.finfo(np.float32).tiny), 0, 1).astype(np.float32)
@@ -56,7 +56,7 @@ def wiener_shrink(folds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def deviation(a: np.ndarray, b: np.ndarray, knn: np.ndarray) -> np.ndarray:
-    """[N] float32, scene units: the standard deviation of the noise in R fields together, from the halves [R, N, 3].
+    """Return the standard deviation [N] float32, scene units, of the noise in R fields together, from halves [R, N, 3].
 
     Rms over the nearest Gaussians `knn` of each [N, count]; of vectors' lengths, root of the sum over components,
     before any gain. Errors that both halves share are not in it.
@@ -66,7 +66,7 @@ def deviation(a: np.ndarray, b: np.ndarray, knn: np.ndarray) -> np.ndarray:
 
 
 def mean_over_neighbours(values: np.ndarray, knn: np.ndarray) -> np.ndarray:
-    """[N, …]: means of values [N, …] over the nearest Gaussians of each, [N, count] as `Graph.knn` lists them."""
+    """Return means of values [N, …] over each Gaussian's nearest ones, listed [N, count] as by `Graph.knn`."""
     out = np.empty_like(values)
     for first in range(0, len(values), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
@@ -75,7 +75,7 @@ def mean_over_neighbours(values: np.ndarray, knn: np.ndarray) -> np.ndarray:
 
 
 def local_reliability(mean: np.ndarray, a: np.ndarray, b: np.ndarray, knn: np.ndarray) -> np.ndarray:
-    """[R, N] float32, 0 to 1: `reliability` over the nearest Gaussians of each, of components [R, N, K, 3]."""
+    """Return [R, N] float32, 0 to 1: `reliability` over the nearest Gaussians of each, of components [R, N, K, 3]."""
     both, power = (np.einsum("rnkc,rnkc->nr", *pair) for pair in ((a, b), (mean, mean)))
     both, power = np.split(mean_over_neighbours(np.concatenate([both, power], 1), knn).T, 2)
     return np.clip(both / np.maximum(power, np.finfo(np.float32).tiny), 0, 1)

@@ -35,7 +35,7 @@ class TargetImages:
     n_known: int = 0  # of the functions, the first: known before to be motion
 
     def of(self, v: int, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
-        """[r, H, W, 3] in memory: some of view v's images."""
+        """Return [r, H, W, 3] in memory: some of view v's images."""
         out = np.array(self.images[v, rows])
         release(self.images)
         return out

@@ -149,7 +149,7 @@ def coarser(problem: Problem, frames: Sequence[PosedFrames], enough: int = ENOUG
 
 
 def _binned(pictures: np.ndarray, factor: int) -> np.ndarray:
-    """[V, H, W, C] by the mean of factor × factor pixels; what is left over at the right and below is dropped."""
+    """Return pictures [V, H, W, C] averaged over factor × factor pixels; incomplete squares are dropped."""
     n, height, width, channels = pictures.shape
     h, w = height // factor, width // factor
     blocks = pictures[:, : h * factor, : w * factor].reshape(n, h, factor, w, factor, channels)
@@ -254,7 +254,7 @@ def few_view_uncertainty(
 
 
 def _unknown_direction(estimate: MotionEstimate, covariance: np.ndarray, n_timesteps: int) -> np.ndarray:
-    """[N, 3, 3]: what `covariance` [N, 3, 3] lacks along the sight of a single camera, scene units squared.
+    """Return [N, 3, 3]: what `covariance` [N, 3, 3] lacks along the sight of a single camera, scene units squared.
 
     The camera shows motion across its sight. If no direction in space is more likely than another, motion along it has
     the deviation `_ALONG_TO_ACROSS` times that across. Pictures from one place change too little with the rest to
@@ -291,14 +291,14 @@ def _along_viewing_rays(
 
 
 def _model_error(estimate: MotionEstimate) -> np.ndarray:
-    """[N] variance of the displacement, summed over functions of time."""
+    """Return [N] variance of the displacement, summed over functions of time."""
     variance = local_variance(estimate.fields[..., :3], estimate.knn)
     out = _OF_RESIDUAL * residual_displacement(estimate) + _OF_VARIANCE * variance
     return out + estimate.gain.squares(estimate.fields) + estimate.attenuation.squares(estimate.fields)
 
 
 def local_variance(fields: np.ndarray, knn: np.ndarray) -> np.ndarray:
-    """[N] float64, scene units squared: variance of R fields [R, N, 3] over the nearest Gaussians `knn` [N, count].
+    """Return the variance [N] float64, scene units², of R fields [R, N, 3] over the nearest Gaussians `knn` [N, count].
 
     Sums over fields and over x, y, z.
     """
@@ -310,7 +310,7 @@ def local_variance(fields: np.ndarray, knn: np.ndarray) -> np.ndarray:
 
 
 def residual_displacement(estimate: MotionEstimate) -> np.ndarray:
-    """[N] float64, scene units squared: the squared displacement that the residual of target images could be.
+    """Return [N] float64, scene units squared: the squared displacement that the residual of target images could be.
 
     Means of the squares over pixels by the blending weights of the nearest Gaussians; over the whole scene where no
     camera sees any of these. A surface counts as no flatter than a hundredth of the scene's mean squared slope.
@@ -332,7 +332,7 @@ def residual_displacement(estimate: MotionEstimate) -> np.ndarray:
 
 
 def _of_blocks(pictures: np.ndarray) -> np.ndarray:
-    """[H, W]: squares of the means over blocks of pictures [R, H, W, 3]; sums over pictures and channels."""
+    """Return [H, W]: squares of the means over blocks of pictures [R, H, W, 3]; sums over pictures and channels."""
     height, width = pictures.shape[1:3]
     rows, columns = np.arange(0, height, BLOCK), np.arange(0, width, BLOCK)
     means = np.add.reduceat(np.add.reduceat(pictures, rows, axis=1), columns, axis=2)

@@ -137,7 +137,7 @@ class RasterizeViews(torch.autograd.Function):
 def _gradient_by_splats(
     record: Projected, view: View, pictures: tuple[np.ndarray, ...], buffers: Buffers
 ) -> np.ndarray:
-    """[N, SPLAT_WIDTH]; pictures: image and transmittance, and the gradients by them."""
+    """Return [N, SPLAT_WIDTH]; pictures: image and transmittance, and the gradients by them."""
     image, transmittance, v_image, v_transmittance = pictures
     bins = record.bins
     pair_sums = buffers.take("pair_sums", (len(bins.pair_gaussian), SPLAT_WIDTH))

@@ -161,7 +161,7 @@ class Iteration:
         return float(squares.sum()) / target.size
 
     def fitting_gain(self, target: np.ndarray) -> np.ndarray:
-        """[3] that would have suited the last picture best, whose target [H, W, 3] it was."""
+        """Return [3] that would have suited the last picture best, whose target [H, W, 3] it was."""
         height, width = target.shape[:2]
         image = self._buffers.take("image", (height, width, FEATURES))
         transmittance = self._buffers.take("transmittance", (height, width))

@@ -49,7 +49,7 @@ def _project(xyz: np.ndarray, views: RestViews, v: int) -> tuple[np.ndarray, np.
 
 
 def in_hull(xyz: np.ndarray, views: RestViews, masks: np.ndarray) -> np.ndarray:
-    """True where no view that sees the point sees background there, and enough views see it.
+    """Return where enough views see the point, and none of them sees background there.
 
     Enough: a share SEEN of what the best-seen point of the hull has. Before each camera lies a space that few others
     see, and whose silhouette therefore cuts nothing away.
@@ -102,7 +102,7 @@ def hull_shell(views: RestViews) -> tuple[np.ndarray, float] | None:
 
 
 def _in_sight(shell: np.ndarray, step: float, views: RestViews) -> np.ndarray:
-    """[S] bool: some view has no other cell of the shell, each `step` wide, before this one."""
+    """Return [S] bool: some view has no other cell of the shell, each `step` wide, before this one."""
     seen = np.zeros(len(shell), bool)
     for v in range(len(views.rgb)):
         u, w, inside = _project(shell, views, v)
@@ -120,7 +120,7 @@ def _in_sight(shell: np.ndarray, step: float, views: RestViews) -> np.ndarray:
 
 
 def hull_points(views: RestViews, count: int, rng: np.random.Generator) -> np.ndarray | None:
-    """Up to `count` points [M, 3], each somewhere in a cell of `hull_shell`."""
+    """Return up to `count` points [M, 3], each somewhere in a cell of `hull_shell`."""
     found = hull_shell(views)
     if found is None:
         return None

@@ -93,7 +93,7 @@ def _level(config: SpaceConfig, size: tuple[int, int], finer: int, begin: int, e
 
 
 def _spacing(config: SpaceConfig, size: tuple[int, int], finer: int, n_gaussians: int) -> int:
-    """About one pixel for each Gaussian. D-SSIM compares pixels with their neighbours, and a level alone sees all."""
+    """Return the spacing for about one pixel per Gaussian; 1 with D-SSIM, which compares neighbours, or one level."""
     if config.dssim or config.levels == 1 or max(size) <= SPARSE:
         return 1
     width, height = (n >> finer for n in size)

@@ -28,7 +28,7 @@ def ssim(a: Tensor, b: Tensor) -> Tensor:
 
 
 def photometric_loss(rendered: Tensor, target: Tensor, l2: float, dssim: float) -> Tensor:
-    """(1 − λ) (L1 + l2 · MSE) + λ (1 − SSIM) / 2 of images [H, W, 3]; [TG4MM] Eq. (16) where l2 = λ = 0."""
+    """Return (1 − λ) (L1 + l2 · MSE) + λ (1 − SSIM) / 2 of images [H, W, 3]; [TG4MM] Eq. (16) where l2 = λ = 0."""
     difference = rendered - target
     loss = difference.abs().mean()
     if l2 > 0:
@@ -39,7 +39,7 @@ def photometric_loss(rendered: Tensor, target: Tensor, l2: float, dssim: float) 
 
 
 def fitting_gain(rendered: Any, target: Any) -> Any:
-    """[3] gains that bring `rendered` closest to `target`, both [H, W, 3], torch tensors or numpy arrays.
+    """Return [3] gains that bring `rendered` closest to `target`, both [H, W, 3], torch tensors or numpy arrays.
 
     Least squares over the pixels that are not clipped; where there are none, 1.
     """

@@ -52,7 +52,7 @@ class Squares:
 
 
 def quadtree(picture: np.ndarray, budget: int, coarsest: int = COARSEST) -> Squares:
-    """At most `budget` cells (or as many as there are of the coarsest): all nodes of the tree, the coarsest first.
+    """Return at most `budget` cells (at least the coarsest ones): all nodes of the tree, the coarsest first.
 
     picture: [H, W, 3]. A cell is split while its squared deviation, summed over pixels and channels, is among the
     largest and above noise; it stays below its children. These deviate less than it does, all four together, so one
@@ -145,7 +145,7 @@ def _backdrop(picture: np.ndarray, side: int) -> Squares:
 
 
 def _ranks(cells: Squares) -> np.ndarray:
-    """[N] places in the order of depth: by size, then so that neighbours differ."""
+    """Return [N] places in the order of depth: by size, then so that neighbours differ."""
     columns, rows = (cells.centres // cells.sides[:, None]).astype(int).T % 4
     return 16 * (np.log2(cells.sides) - np.log2(FINEST)) + _BAYER[rows, columns]
 
@@ -284,7 +284,7 @@ def fit_plane(views: RestViews, config: SpaceConfig | None = None, device: str =
 
 
 def _without_holes(picture: np.ndarray) -> np.ndarray:
-    """[H, W, 3]: with the nearest pixel where a mask left nothing."""
+    """Return [H, W, 3]: with the nearest pixel where a mask left nothing."""
     is_masked = np.isnan(picture[..., 0])
     if not is_masked.any():
         return picture

@@ -73,7 +73,7 @@ def rest_views(capture: Capture, images: ImageStack | FilePictures) -> RestViews
 def _masked_mean(
     capture: Capture, images: ImageStack | FilePictures, group: np.ndarray, mean: np.ndarray
 ) -> np.ndarray:
-    """[H, W, 3]: the mean over the pictures that count at each pixel, NaN where none does."""
+    """Return [H, W, 3]: the mean over the pictures that count at each pixel, NaN where none does."""
     masks = [mask_of(capture, int(i)) for i in group]
     if all(mask is None for mask in masks):
         return mean

@@ -30,7 +30,7 @@ _OWN = {"planes", "points", "box"}
 
 @dataclass(frozen=True)
 class PaperConfig:
-    """Both phases of [TG4MM]. One iteration is one view, white background, L1 (Eq. 16)."""
+    """Settings of both phases of [TG4MM]. One iteration is one view, white background, L1 (Eq. 16)."""
 
     channels: int = setting(32, "C, number of features of a plane")
     resolution: int = setting(512, "R, cells along each side of a plane; a power of two", "cells")
@@ -133,16 +133,16 @@ class PaperModel:
         return self.planes.shape[1]
 
     def values(self) -> Tensor:
-        """[A, C] the space planes at the active cells."""
+        """Return [A, C] the space planes at the active cells."""
         return active(self.planes, self.cells)
 
     @cached_property
     def rest_embedding(self) -> Tensor:
-        """[N, 3 C] at timestep 0, [TG4MM] Eq. (5)."""
+        """Return [N, 3 C] at timestep 0, [TG4MM] Eq. (5)."""
         return sample(self.values(), self.cells)
 
     def embedding(self, motion: Tensor) -> Tensor:
-        """[N, 3 C] of a timestep from its motion planes at the active cells [A, C], [TG4MM] Eq. (6)."""
+        """Return [N, 3 C] of a timestep from its motion planes at the active cells [A, C], [TG4MM] Eq. (6)."""
         own = sample(motion, self.cells)
         return self.rest_embedding + own if self.residual else own
 
@@ -170,7 +170,7 @@ class PaperModel:
 
 
 def active(planes: Tensor, cells: TouchedCells) -> Tensor:
-    """[A, C] values of dense planes [3, C, R, R] at the active cells."""
+    """Return [A, C] values of dense planes [3, C, R, R] at the active cells."""
     flat = planes.permute(1, 0, 2, 3).reshape(planes.shape[1], -1)
     return flat[:, torch.from_numpy(cells.dense)].T.contiguous()
 
@@ -244,7 +244,7 @@ def save_planes(run: Run, t: int, values: Tensor) -> None:
 
 
 def load_planes(run: Run, t: int, model: PaperModel) -> Tensor:
-    """[A, C] motion planes of timestep t. Raises RunError if absent, torn, foreign or of another shape."""
+    """Return [A, C] motion planes of timestep t. Raises RunError if absent, torn, foreign or of another shape."""
     tensors, _ = run.load_part(planes_name(t))
     expected = (model.channels, len(model.cells))
     values = tensors.get("values")
@@ -258,7 +258,7 @@ def load_planes(run: Run, t: int, model: PaperModel) -> Tensor:
 
 
 def plane_video(run: Run, model: PaperModel, n_timesteps: int, k: int, channel: int) -> np.ndarray:
-    """[T, R, R] float32: one feature plane over time, space and motion planes together. Reads a row of each file."""
+    """Return [T, R, R] float32: one feature plane over time, space and motion planes together; a row of each file."""
     r = model.planes.shape[-1]
     still = model.planes[k, channel].numpy().reshape(-1)
     part = model.cells.of_plane(k)

@@ -79,7 +79,7 @@ class EmbeddingSeries:
 
 
 def interpolation(t: float, n: int) -> np.ndarray:
-    """[n] weights of the timesteps 0 … n − 1 at time t, of the periodic band-limited function through them."""
+    """Return [n] weights of the timesteps 0 … n − 1 at time t, of the periodic band-limited function through them."""
     lag = t - np.arange(n)
     k = np.arange(1, (n + 1) // 2)
     weights = 1 + 2 * np.cos(2 * np.pi * np.outer(lag, k) / n).sum(1)
@@ -188,7 +188,7 @@ def _finished(file: Path, shape: tuple[int, int, int]) -> list[int]:
 
 
 def at_points(video: np.ndarray, cells: TouchedCells, k: int) -> np.ndarray:
-    """[T, N] a plane's video [T, R, R] at the points, by their bilinear weights on plane k."""
+    """Return [T, N] a plane's video [T, R, R] at the points, by their bilinear weights on plane k."""
     flat = video.reshape(len(video), -1)
     where = cells.dense[cells.index[k]] - k * cells.resolution**2
     total = np.zeros((len(video), len(where)), np.float32)

@@ -134,7 +134,7 @@ class TouchedCells:
 
 
 def scene_box(points: np.ndarray) -> np.ndarray:
-    """[2, 3] low and high corner of the points [N, 3], but for the outermost half percent on each side."""
+    """Return [2, 3] low and high corner of the points [N, 3], but for the outermost half percent on each side."""
     low, high = np.percentile(points, _OUTER, axis=0)
     return np.stack([low, np.maximum(high, low + 1e-6)])
 

@@ -44,7 +44,7 @@ class TimeFunction:
 
 
 def waveforms(path: Path) -> list[TimeFunction]:
-    """All functions of time. Raises AnalyseError where there are none, and for a file that is damaged."""
+    """Return all functions of time. Raises AnalyseError if there are none, and for a damaged file."""
     if path.stat().st_size > MOST_BYTES:
         raise AnalyseError(f"{path} is larger than {MOST_BYTES >> 30} GiB")
     found, metres = list[TimeFunction](), 1.0
@@ -114,7 +114,7 @@ def _waveform(number: str, lines: list[str], content: bytes, metres: float) -> T
 
 
 def _numbers(text: str, widths: tuple[int, ...]) -> Iterator[float]:
-    """Those of lines in columns of these widths by turns."""
+    """Yield the numbers of lines with columns of alternating widths."""
     for line in text.splitlines():
         at, k = 0, 0
         while line[at:].strip():

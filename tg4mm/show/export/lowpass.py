@@ -22,7 +22,7 @@ _NEARER = 0.9  # of the finest training sampling; a test view from among the tra
 
 
 def smoothing_variance(means: np.ndarray, capture: Capture) -> np.ndarray:
-    """[N] scene units²: BAKED_PX2 at each mean [N, 3], in the camera that samples it finest of those that see it.
+    """Return [N] scene units²: BAKED_PX2 at each mean [N, 3], in the camera that sees and samples it finest.
 
     What no camera sees gets the median of the others; 0 where none sees anything.
     """
@@ -39,7 +39,7 @@ def smoothing_variance(means: np.ndarray, capture: Capture) -> np.ndarray:
 
 
 def smoothing_of(run: Run, warn: bool = True) -> np.ndarray | None:
-    """[N] variances for `to_splat`; None, with a warning, if the dataset, whose cameras determine them, is gone."""
+    """Return variances [N] for `to_splat`; None, with a warning, without the dataset, whose cameras determine them."""
     if not run.dataset.is_dir():
         if warn:
             _LOG.warning(
@@ -53,7 +53,7 @@ def smoothing_of(run: Run, warn: bool = True) -> np.ndarray | None:
 def lacking(
     means: np.ndarray, variance: np.ndarray, camera: tuple[np.ndarray, np.ndarray, int, int]
 ) -> np.ndarray | None:
-    """[N] variances that Gaussians lack for a `camera` (viewmat, K, width, height) nearer than training was.
+    """Return [N] variances that Gaussians lack for a `camera` (viewmat, K, width, height) nearer than training was.
 
     With them and the BAKED_PX2 that the rasteriser adds, no Gaussian is thinner than `variance` [N] makes it. None for
     a camera that is not nearer.

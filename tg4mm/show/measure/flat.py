@@ -112,7 +112,7 @@ def uneven_share(shift: np.ndarray, parts: Sequence[np.ndarray], areas: Sequence
 
 
 def _mask(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarray]) -> np.ndarray:
-    """[H, W] float32, 0 to 1."""
+    """Return [H, W] float32, 0 to 1."""
     width, height = size = scene.observations.size
     frames = scene.observations.frames[0]
     if sensor.region in OF_PICTURE:

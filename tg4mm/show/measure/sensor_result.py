@@ -135,22 +135,22 @@ class SensorResult:
 
     @property
     def times_s(self) -> np.ndarray:
-        """[T] seconds."""
+        """Return [T] seconds."""
         return self.series.times_s
 
     @property
     def displacement(self) -> np.ndarray:
-        """[T, A] scene units, about the mean over the record."""
+        """Return [T, A] scene units, about the mean over the record."""
         return self.series.displacement
 
     @property
     def deviation(self) -> np.ndarray:
-        """[T, A] standard deviation of each sample, scene units."""
+        """Return [T, A] standard deviation of each sample, scene units."""
         return self.series.deviation
 
     @property
     def axes(self) -> np.ndarray:
-        """[A, 3], rows: unit vectors in the world, of the spectrum and the peaks."""
+        """Return [A, 3], rows: unit vectors in the world, of the spectrum and the peaks."""
         return self.series.axes if self.together is None else np.eye(3)
 
     @property
@@ -187,12 +187,12 @@ class SensorResult:
 
     @property
     def velocity(self) -> np.ndarray:
-        """[T, A] scene units / s."""
+        """Return [T, A] scene units / s."""
         return self.records[0].derivatives.velocity
 
     @property
     def acceleration(self) -> np.ndarray:
-        """[T, A] scene units / s²."""
+        """Return [T, A] scene units / s²."""
         return self.records[0].derivatives.acceleration
 
     @cached_property

@@ -59,12 +59,12 @@ class Series:
 
     @property
     def unit_variance(self) -> np.ndarray:
-        """[A]; inf along axes that are not observed."""
+        """Return [A]; inf along axes that are not observed."""
         return np.diag(self.unit_covariance)
 
     @property
     def correlation(self) -> np.ndarray:
-        """[A, A] of the axes' errors; none for an axis that is not observed."""
+        """Return [A, A] of the axes' errors; none for an axis that is not observed."""
         root = np.sqrt(np.where(np.isfinite(self.unit_variance), self.unit_variance, 0))
         scale = np.outer(root, root)
         found = np.divide(self.unit_covariance, scale, out=np.zeros_like(scale), where=scale > 0)
@@ -73,12 +73,12 @@ class Series:
 
     @property
     def is_observed(self) -> np.ndarray:
-        """[A] bool, for each axis."""
+        """Return [A] bool, for each axis."""
         return np.asarray(np.isfinite(self.noise).all(0))
 
     @property
     def is_resolved(self) -> np.ndarray:
-        """[A] bool: observed, and at most ten times as uncertain as the best direction (one camera's sight is more)."""
+        """Return [A] bool: observed, and at most ten times as uncertain as the best direction."""
         variance = np.where(self.is_observed, self.unit_variance, np.inf)
         return np.asarray(variance <= UNRESOLVED**2 * variance.min()) & self.is_observed
 

@@ -32,7 +32,7 @@ _GREY = 0.75  # of the way to grey
 
 @dataclass(frozen=True)
 class OperatingShape:
-    """At one frequency: phasors of the run's modes there, displacement = Re[phasor exp(i 2π f t)], t in seconds."""
+    """Operating deflection shape: the modes' phasors at one frequency, displacement = Re[phasor exp(i 2π f t)]."""
 
     frequency_hz: float
     phasors: np.ndarray  # [N, 3] complex64, scene units

@@ -153,17 +153,17 @@ class Peak:
 
     @property
     def amplitude(self) -> np.ndarray:
-        """[A] zero to peak, where the envelope is largest, scene units."""
+        """Return [A] zero to peak, where the envelope is largest, scene units."""
         return np.abs(self.phasor)
 
     @property
     def is_resolved(self) -> np.ndarray:
-        """[A] bool: observed axes that are at most ten times as uncertain as the best (`is_resolved`)."""
+        """Return [A] bool: observed axes that are at most ten times as uncertain as the best (`is_resolved`)."""
         return is_resolved(self.floor)
 
     @property
     def is_above(self) -> np.ndarray:
-        """[A] bool: whether the amplitude exceeds the floor and twice its deviation."""
+        """Return [A] bool: whether the amplitude exceeds the floor and twice its deviation."""
         return np.asarray((self.amplitude > self.floor) & (self.amplitude > 2 * self.deviation))
 
     def envelope(self, times_s: np.ndarray) -> np.ndarray:
@@ -172,7 +172,7 @@ class Peak:
 
     @property
     def phase_deviation(self) -> np.ndarray:
-        """[A] radians, π at most."""
+        """Return [A] radians, π at most."""
         return np.minimum(self.deviation / np.maximum(self.amplitude, 1e-300), np.pi)
 
 
@@ -188,7 +188,7 @@ class Spectrum:
 
     @property
     def typical_floor(self) -> np.ndarray:
-        """[A] median over frequency."""
+        """Return [A] median over frequency."""
         return np.median(self.floor, axis=0)
 
 

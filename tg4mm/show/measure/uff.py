@@ -104,7 +104,7 @@ def _shape(k: int, hz: float, numbers: np.ndarray, values: np.ndarray) -> dict[s
 
 
 def _at(result: SensorResult, hz: float) -> np.ndarray:
-    """[3] phasor of a sensor's nearest peak within half of 1 / duration, in the world; else 0."""
+    """Return [3] phasor of a sensor's nearest peak within half of 1 / duration, in the world; else 0."""
     half = 0.5 / float(np.ptp(result.times_s))
     for peak in result.spectrum.peaks:
         if abs(peak.frequency_hz - hz) < half:
@@ -144,12 +144,12 @@ def _functions(node: int, result: SensorResult, metres: float, unit: str) -> lis
 
 
 def _frame(series: Series) -> np.ndarray:
-    """[A, 3] unit vectors: the axes; of a flat capture x and z, as its axes may be those of a tilted plane."""
+    """Return [A, 3] unit vectors: the axes; of a flat capture x and z, as its axes may be those of a tilted plane."""
     return series.axes if len(series.axes) == 3 else np.eye(3)[[0, 2]]
 
 
 def _world_deviation(series: Series) -> np.ndarray:
-    """[T, 3] along the world's axes; not finite where a direction that is not observed takes part."""
+    """Return [T, 3] along the world's axes; not finite where a direction that is not observed takes part."""
     share = _frame(series) ** 2
     with np.errstate(invalid="ignore"):
         parts = np.where(share > 1e-12, series.deviation[:, :, None] ** 2 * share, 0.0)

@@ -177,7 +177,7 @@ class ResultSources:
 
     @cached_property
     def b_frames(self) -> np.ndarray | None:
-        """[T] bool: B-frames; None if unknown."""
+        """Return [T] bool: B-frames; None if unknown."""
         if self.capture is None or self.motion is None:
             return None
         return between_frames(self.capture.root, self.motion.n_timesteps)
@@ -189,7 +189,7 @@ class ResultSources:
 
     @cached_property
     def _deviations(self) -> np.ndarray | None:
-        """[K, N] of the modes' amplitudes; None if unknown."""
+        """Return [K, N] of the modes' amplitudes; None if unknown."""
         if self.motion is None or "noise" not in self.uncertainty:
             return None
         return mode_deviations(self.motion, self.uncertainty["displacement"], self.uncertainty["noise"])

@@ -75,7 +75,7 @@ def _shot(camera: str, pictures: list[np.ndarray]) -> FirstPicture:
 
 
 def _rgb(pixels: np.ndarray) -> np.ndarray:
-    """[H, W, 3] uint8 of [H, W, 3 or 4] of any depth."""
+    """Return [H, W, 3] uint8 of [H, W, 3 or 4] of any depth."""
     return np.asarray(pixels[..., :3] >> 8 if pixels.dtype == np.uint16 else pixels[..., :3]).astype(np.uint8)
 
 

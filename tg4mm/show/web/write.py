@@ -130,7 +130,7 @@ def camera_json(camera: Camera) -> dict[str, Any]:
 def scene_json(
     run: Run, gaussians: Gaussians, motion: ModalMotion | None, fields: MotionFields, packed: Packed
 ) -> dict[str, Any]:
-    """Everything but the numbers of the Gaussians.
+    """Return everything but the Gaussians' arrays.
 
     Raises CaptureError for a bad dataset, RunError where it is gone: the page opens with a camera of it.
     """

@@ -27,7 +27,7 @@ _CONIC_LANES = np.array([2 <= lane < 5 for lane in range(LANES)], np.float32)  #
 
 
 def pack(jacobian: np.ndarray) -> np.ndarray:
-    """[n, 8, 6] -> [36 n + 16] float32. Rows of rotation must be 0 but for the conic."""
+    """Return [n, 8, 6] -> [36 n + 16] float32. Rows of rotation must be 0 but for the conic."""
     n = len(jacobian)
     out = np.zeros(_PACKED * n + LANES, np.float32)
     rows = out[: _PACKED * n].reshape(n, _PACKED)
@@ -199,7 +199,7 @@ def splat_jacobian(
     size: tuple[int, int],
     splats: np.ndarray,
 ) -> np.ndarray:
-    """[N, 8, DOF] float32: derivative of each Gaussian's mean, conic and colour by displacement and rotation.
+    """Return [N, 8, DOF] float32: derivative of each Gaussian's mean, conic and colour by displacement and rotation.
 
     Of Gaussians [N] as `project_forward` takes them and the `splats` it gave for a packed camera and size (width,
     height); 0 for those it found invisible.

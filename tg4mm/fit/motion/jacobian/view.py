@@ -56,11 +56,11 @@ class PosedView(Protocol):
 
     @property
     def viewmat(self) -> np.ndarray:
-        """[4, 4] float32, world to camera."""
+        """Return [4, 4] float32, world to camera."""
 
     @property
     def K(self) -> np.ndarray:
-        """[3, 3] float32, pixels."""
+        """Return [3, 3] float32, pixels."""
 
     @property
     def low_pass(self) -> float:
@@ -80,12 +80,12 @@ class ViewJacobian:
 
     @property
     def over_white(self) -> np.ndarray:
-        """[H, W, 3]: the picture at rest."""
+        """Return [H, W, 3]: the picture at rest."""
         return self.image[..., :3] + self.transmittance[..., None]
 
     @property
     def jacobian(self) -> np.ndarray:
-        """[n_visible, 8, DOF] float32, in the order of bins.order."""
+        """Return [n_visible, 8, DOF] float32, in the order of bins.order."""
         return unpack(self.packed)
 
     @property
@@ -216,14 +216,14 @@ def without_colour(view: ViewJacobian) -> ViewJacobian:
 
 
 def blend_sum(view: ViewJacobian, picture: np.ndarray) -> np.ndarray:
-    """[N, 3] float32: a picture [H, W, 3] summed over pixels by each Gaussian's blending weights."""
+    """Return [N, 3] float32: a picture [H, W, 3] summed over pixels by each Gaussian's blending weights."""
     out = np.zeros((1, len(view.splats), DOF), np.float32)
     colour_jacobian(view, np.ones((view.bins.n_visible, 3), bool)).vjp(picture[None], out)
     return out[0, :, :3]
 
 
 def pixels_moved(views: Sequence[ViewJacobian], shifts: np.ndarray) -> np.ndarray:
-    """[S]: the 99th percentile over visible Gaussians, in up to eight views, of image motion; 0 if none is visible.
+    """Return [S]: the 99th percentile of image motion over visible Gaussians in up to eight views; 0 if none is.
 
     S shifts [S, N, 3] in scene units, projected to first order.
     """
@@ -235,14 +235,14 @@ def pixels_moved(views: Sequence[ViewJacobian], shifts: np.ndarray) -> np.ndarra
 
 
 def _lengths(view: ViewJacobian, shifts: np.ndarray) -> np.ndarray:
-    """[S, n] pixels."""
+    """Return [S, n] pixels."""
     right, down = mean_rows(view.packed)
     visible = shifts[:, view.bins.order[: view.bins.n_visible]]
     return np.asarray(np.hypot(*(np.einsum("nd,snd->sn", row, visible) for row in (right, down))))
 
 
 def optical_flow(view: ViewJacobian, motions: np.ndarray, buffers: Buffers) -> np.ndarray:
-    """[R, H, W, 3] of motions [R, N, DOF]: right and down in pixels, then 0. Valid until the next call with `buffers`.
+    """Return [R, H, W, 3] of motions [R, N, DOF]: right and down in pixels, then 0; valid until `buffers` is reused.
 
     Each pixel sums the flow of its Gaussians' means by blending weight; the background's flow is 0.
     """
@@ -252,7 +252,7 @@ def optical_flow(view: ViewJacobian, motions: np.ndarray, buffers: Buffers) -> n
 def false_changes(
     view: ViewJacobian, mean: np.ndarray, motions: np.ndarray, is_flat: bool = True
 ) -> np.ndarray:
-    """[R, H, W, 3]: of the change by motions [R, N, DOF] what the scene at rest has and `mean` [H, W, 3] lacks.
+    """Return [R, H, W, 3]: of the change by motions [R, N, DOF] what the scene at rest has and `mean` [H, W, 3] lacks.
 
     Of a flat capture it corrects the answer, by slopes exact for fine texture; else it is in the ± alone, whose
     calibration has central differences.

@@ -63,19 +63,19 @@ class States:
 
     @property
     def count(self) -> np.ndarray:
-        """[K] float64, timesteps of each state."""
+        """Return [K] float64, timesteps of each state."""
         return np.bincount(self.of, minlength=len(self.gains)).astype(np.float64)
 
     @property
     def sums(self) -> np.ndarray:
-        """[K, R] float64, sum of a_r(t) over each state's timesteps."""
+        """Return [K, R] float64, sum of a_r(t) over each state's timesteps."""
         return self.gains * self.count[:, None]
 
 
 def states_of(
     basis: np.ndarray, pixels: np.ndarray, most: int = MOST, diameter_px: float = STATE_PX
 ) -> States:
-    """At most `most` states of functions of time [R, T], each worth so many `pixels` [R] of motion.
+    """Return at most `most` states of functions of time [R, T], each worth so many `pixels` [R] of motion.
 
     `diameter_px`: what moves at most between timesteps of one state, unless there would be more states than that.
     """
@@ -102,7 +102,7 @@ def most_states(n_views: int, size: tuple[int, int]) -> int:
 
 
 def state_pictures(observations: Observations, states: States) -> np.ndarray:
-    """[V, K, H, W, 3] float32 (`mapped_zeros`): mean over the timesteps of each state, by camera, over white."""
+    """Return [V, K, H, W, 3] float32 (`mapped_zeros`): mean over the timesteps of each state, by camera, over white."""
     width, height = observations.size
     share = np.zeros((len(states.gains), len(states.of)), np.float32)
     share[states.of, np.arange(len(states.of))] = 1 / states.count[states.of]
@@ -174,7 +174,7 @@ class StateObservations:
         return float(squares @ self.states.count)
 
     def target_images(self, v: int, residuals: np.ndarray, rows: np.ndarray, shown: np.ndarray) -> np.ndarray:
-        """[R, H, W, 3]: camera v's target images that the motion explains, of the states `own` where it was linearised.
+        """Return [R, H, W, 3]: camera v's target images that the motion explains, at the states `own` linearised there.
 
         residuals: of `residuals`. shown [R, H, W, 3]: what the motion found so far changes there, for gains of 1. What
         changes within states is taken as spread evenly over time.
@@ -407,7 +407,7 @@ class GaussNewton:
         return (new, after) if after.is_no_larger(errors) else (gaussians, errors)
 
     def _solved(self, state: GaussNewtonState, report: Callable[..., None]) -> tuple[np.ndarray, float]:
-        """[P, R, N, 6]: what each fold finds in this iteration; and the smoothness weight, chosen anew for it."""
+        """Return [P, R, N, 6], each fold's solution in this iteration, and the newly chosen smoothness weight."""
         views = rest_views(state.gaussians, self.observations)
         problem = Problem.of(views, state.gaussians, self.config, self.device)
         problem = problem.changed(pixel_weights=self.weights)
@@ -435,7 +435,7 @@ class GaussNewton:
     def rest_targets(
         self, residuals: np.ndarray, views: Sequence[ViewJacobian], fields: np.ndarray, rows: Iterable[int]
     ) -> Iterator[np.ndarray]:
-        """[R, H, W, 3] of some of the `views` at rest: the target images of fields [R, N, 6] and what they leave."""
+        """Return [R, H, W, 3] of some `views` at rest: the target images of fields [R, N, 6] and their residual."""
         states = np.arange(len(self.observed.states.gains))
         return (self.observed.target_images(v, residuals, states, views[v].jvp(fields)) for v in rows)
 

@@ -30,7 +30,7 @@ _REFINING = 300  # iterations
 
 
 def homographies(K: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-    """[F, 3, 3]: K R K⁻¹ of rotation vectors [F, 3], radians, camera axes."""
+    """Return [F, 3, 3]: K R K⁻¹ of rotation vectors [F, 3], radians, camera axes."""
     K = K.astype(np.float64)
     return K @ Rotation.from_rotvec(rotations).as_matrix() @ np.linalg.inv(K)
 
@@ -74,7 +74,7 @@ def registered(observations: Observations, rotations: np.ndarray) -> Observation
 
 
 def camera_rotations(observations: Observations) -> np.ndarray:
-    """[C, 3] rotation vectors of the pictures' cameras, radians, camera axes; of each fixed camera with mean 0.
+    """Return [C, 3] rotation vectors of the pictures' cameras, radians, camera axes; of each fixed camera with mean 0.
 
     Gauss-Newton on the misfit to the camera's mean picture by the slopes of that, which is the same for all frames
     (inverse composition: Baker & Matthews 2004). The mean, blurred at first, is taken anew in every step. Exposure is
@@ -90,7 +90,7 @@ def camera_rotations(observations: Observations) -> np.ndarray:
 
 
 def _rotations_of(observations: Observations, frames: PosedFrames) -> np.ndarray:
-    """[F, 3] of one camera."""
+    """Return [F, 3] of one camera."""
     rows = frames.rows
     alone = replace(observations, frames=[frames])
     rotations, exposures = np.zeros((len(rows), 3)), np.zeros((len(rows), 6))
@@ -136,7 +136,7 @@ def _step(
 
 
 def _rotation_columns(mean: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """[3, H, W, 3]: what a rotation of the camera by one radian about its x, y, z changes."""
+    """Return [3, H, W, 3]: what a rotation of the camera by one radian about its x, y, z changes."""
     down, right = np.gradient(mean, axis=(0, 1))
     height, width = mean.shape[:2]
     v, u = np.mgrid[:height, :width] + 0.5
@@ -150,7 +150,7 @@ def _rotation_columns(mean: np.ndarray, K: np.ndarray) -> np.ndarray:
 
 
 def _weights_of(mean: np.ndarray, energy: np.ndarray) -> np.ndarray:
-    """[H, W] float32: less where the picture about a pixel moves by more than where it moves least."""
+    """Return [H, W] float32: less where the picture about a pixel moves by more than where it moves least."""
     down, right = np.gradient(mean, axis=(0, 1))
     slopes = gaussian_filter((down**2 + right**2).mean(-1), _WINDOW_PX)
     moved = gaussian_filter(energy, _WINDOW_PX) / np.maximum(slopes, 1e-12)  # squared, about
@@ -161,7 +161,7 @@ def _weights_of(mean: np.ndarray, energy: np.ndarray) -> np.ndarray:
 
 
 def mean_pictures(observations: Observations) -> np.ndarray:
-    """[V, H, W, 3]: over time, of every camera."""
+    """Return [V, H, W, 3]: over time, of every camera."""
     pictures = observations.pictures
     return np.stack(
         [np.concatenate([s.mean(0) for _, s in strips(pictures, f)]) for f in observations.frames]

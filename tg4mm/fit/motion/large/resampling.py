@@ -115,7 +115,7 @@ def _reach(some: np.ndarray) -> slice:
 
 
 def _by_row(frames: PosedFrames, functions: np.ndarray, rows: range, height: int) -> np.ndarray:
-    """[rows, R, F] float32: functions of time when each row of the pictures is read."""
+    """Return [rows, R, F] float32: functions of time when each row of the pictures is read."""
     delays = row_delays(frames.readout_s, rows, height)
     each = [later(frames.times_s, functions, delay) for delay in delays]
     return np.asarray(each, np.float32).reshape(len(rows), *functions.shape)

@@ -42,19 +42,19 @@ class LinearSolution:
 
     @property
     def fields(self) -> np.ndarray:
-        """[R, N, 6]: the motion on which the folds agree."""
+        """Return [R, N, 6]: the motion on which the folds agree."""
         return wiener_shrink(self.folds)[0]
 
     @property
     def vibration(self) -> np.ndarray:
-        """[R, N, 6]: `fields` of the vibrations that were known before, which are put back; 0 for other motion."""
+        """Return [R, N, 6]: `fields` of the vibrations found by region, which are removed first; 0 for other motion."""
         fields = self.fields.copy()
         fields[self.model.targets.n_known :] = 0
         return fields
 
     @property
     def basis(self) -> np.ndarray:
-        """[R, T]: the functions of time."""
+        """Return [R, T]: the functions of time."""
         return self.model.targets.basis[self.model.fitted]
 
 
@@ -153,14 +153,14 @@ def _put_back(last: LinearSolution, observations: Observations, checkpoint: Chec
 
 
 def _large(fields: np.ndarray, frames: PosedFrames) -> np.ndarray:
-    """[R, N, 6]: the fields, 0 for Gaussians that hardly move."""
+    """Return [R, N, 6]: the fields, 0 for Gaussians that hardly move."""
     across = fields[..., :3] @ frames.viewmat[:2, :3].T * np.diag(frames.K)[:2]  # at distance 1
     moved = np.sqrt((across.astype(np.float64) ** 2).sum((0, 2)) / len(frames.rows))
     return np.asarray(fields * np.clip((moved - _LEFT) / (_PUT_BACK - _LEFT), 0, 1)[:, None], np.float32)
 
 
 def _interpolated(means: np.ndarray, fields: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """[R, M, 6]: fields [R, N, 6] of Gaussians at `means` [N, 3] at other places [M, 3], by distance."""
+    """Return [R, M, 6]: fields [R, N, 6] of Gaussians at `means` [N, 3] at other places [M, 3], by distance."""
     distance, nearest = cKDTree(means).query(at, k=min(_NEAREST, len(means)))
     weights = 1 / (distance + 1e-9) ** 2
     weights /= weights.sum(1, keepdims=True)

@@ -116,7 +116,7 @@ def _blocks(size: tuple[int, ...]) -> Iterator[tuple[int, int, tuple[slice, slic
 
 
 def _one_pose(places: np.ndarray, shifts: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """[b, 2, F]: the shift, roll and zoom that most blocks follow, at blocks `places` [b, 2] (down, right).
+    """Return [b, 2, F]: the shift, roll and zoom that most blocks follow, at blocks `places` [b, 2] (down, right).
 
     Iteratively reweighted least squares, so that blocks which move by themselves count little.
     """
@@ -186,7 +186,7 @@ def _shared_energy(halves: Sequence[tuple[np.ndarray, np.ndarray]], active: np.n
 
 
 def _normal_equations(cameras: Sequence[PosedView], sums: PoseSums) -> tuple[np.ndarray, np.ndarray]:
-    """[9 V + 6, 9 V + 6] and [9 V + 6, F]: every camera's exposure and rotation, the scene's common rigid motion."""
+    """Return products [9 V + 6, 9 V + 6] and [9 V + 6, F] of all exposures, rotations and the rigid motion."""
     columns = np.r_[EXPOSURE, ROTATION]
     n = len(columns) * len(cameras)
     gram, side = np.zeros((n + 6, n + 6)), np.zeros((n + 6, sums.products[0].shape[1]))
@@ -298,7 +298,7 @@ def rest_views(gaussians: Gaussians, observations: Observations) -> list[ViewJac
 def _read_once(
     observations: Observations, views: list[ViewJacobian], gaussians: Gaussians, config: MotionConfig
 ) -> tuple[FixedCameras, float]:
-    """After one pass; and the cameras' shake (pixels, rms), 0 where they do not."""
+    """Return the result of one pass, and the cameras' shake (pixels, rms; 0 if none)."""
     # whether several cameras film at the same times, so that the scene's motion is one to all of them
     several = observations.clock == Clock.synchronous and len(observations.frames) > 1
     looks = config.nuisance in ("auto", "all") and (observations.is_opaque or several)

@@ -73,7 +73,7 @@ def refine_scene_and_poses(
 
 
 def pictures_of(observations: Observations) -> Iterator[np.ndarray]:
-    """[H, W, 3] float32 of every frame, over white; NaN where it does not count."""
+    """Yield [H, W, 3] float32 of every frame, over white; NaN where it does not count."""
     for v, frame in enumerate(observations.frames):
         picture = next(whole_pictures(observations, frame.rows))[0]
         if observations.valid_mask is not None:
@@ -82,7 +82,7 @@ def pictures_of(observations: Observations) -> Iterator[np.ndarray]:
 
 
 def left_of(picture: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """[H, W, 3]: a frame less what is shown, 0 where the frame does not count."""
+    """Return [H, W, 3]: a frame less what is shown, 0 where the frame does not count."""
     return np.nan_to_num(picture - shown)
 
 
@@ -121,7 +121,7 @@ def corrected_poses(
 
 
 def _coefficients(nuisance: Nuisance, shown: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """[12] of one frame: least squares, residuals beyond three robust deviations counting less."""
+    """Return [12] of one frame: least squares, residuals beyond three robust deviations counting less."""
     columns = nuisance.columns(shown).reshape(12, -1)
     flat, weights = residual.reshape(-1), np.ones(residual.size, np.float32)
     # with a blank margin the spread would be 0, and only what fits by chance would count
@@ -222,7 +222,7 @@ class CameraPath:
     def without(
         self, fields: np.ndarray, functions: np.ndarray, projections: Sequence[Projection]
     ) -> np.ndarray:
-        """[F, 6]: less what least squares took of the motion Σ fields [R, N, 6] · functions [R, F] for the camera's."""
+        """Return poses [F, 6] less the part of the motion Σ fields [R, N, 6] · functions [R, F] that they absorbed."""
         out = self.moved.copy()
         for f, projection in enumerate(projections):
             motion = np.tensordot(functions[:, f].astype(np.float32), fields, 1)
@@ -265,7 +265,7 @@ class CameraPath:
         )
 
     def _line(self, path: np.ndarray, hz: float, others: np.ndarray) -> _Line | None:
-        """At a frequency; None where too few frequencies are around it."""
+        """Return the spectral line of the path at a frequency; None with too few frequencies around it."""
         steps, times = np.diff(path, axis=0), self.times_s[:-1]
         duration, step = float(np.ptp(self.times_s)), float(np.median(np.diff(self.times_s)))
         offsets = np.arange(_LINE, _AROUND + 1)
@@ -289,7 +289,7 @@ class CameraPath:
 
 
 def _to_world(viewmat: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """[6, 6]: a turn and shift along a camera's axes about it as those along the world's about `centre`."""
+    """Return [6, 6]: a turn and shift along a camera's axes about it as those along the world's about `centre`."""
     axes = viewmat[:3, :3]
     away = centre + axes.T @ viewmat[:3, 3]
     out = np.zeros((6, 6))
@@ -299,13 +299,13 @@ def _to_world(viewmat: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 
 def _step(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """[6]: by what turn and shift along the camera's axes the scene seems to move from one pose to the next."""
+    """Return [6]: by what turn and shift along the camera's axes the scene seems to move from one pose to the next."""
     between = b @ np.linalg.inv(a)
     return np.concatenate([Rotation.from_matrix(between[:3, :3]).as_rotvec(), between[:3, 3]])
 
 
 def _fourier(values: np.ndarray, times_s: np.ndarray, hz: np.ndarray) -> np.ndarray:
-    """[M, 6] complex: amplitudes of values [F, 6] at frequencies [M], by Hann's window."""
+    """Return [M, 6] complex: amplitudes of values [F, 6] at frequencies [M], by Hann's window."""
     window = np.hanning(len(times_s) + 2)[1:-1]
     about = values - np.average(values, axis=0, weights=window)
     return 2 / window.sum() * np.exp(-2j * np.pi * hz[:, None] * times_s) @ (window[:, None] * about)

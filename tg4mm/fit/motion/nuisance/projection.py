@@ -40,7 +40,7 @@ class Nuisance:
 
     @cached_property
     def pose(self) -> np.ndarray:
-        """[6, H, W, 3] float32: what a unit rotation (radians) and translation about the camera change.
+        """Return [6, H, W, 3] float32: what a unit rotation (radians) and translation about the camera change.
 
         A camera that turns about itself sees every Gaussian from the same side, and so in the same colour.
         """
@@ -52,7 +52,7 @@ class Nuisance:
         self.__dict__.pop("pose", None)
 
     def columns(self, mean: np.ndarray, active: np.ndarray | None = None) -> np.ndarray:
-        """[k, H, W, 3] float32: the active columns for a mean picture [H, W, 3]."""
+        """Return [k, H, W, 3] float32: the active columns for a mean picture [H, W, 3]."""
         active = self.active if active is None else active
         exposure = exposure_columns(mean)[active[EXPOSURE]]
         if not active[POSE].any():
@@ -62,7 +62,7 @@ class Nuisance:
     def gram(
         self, mean: np.ndarray, active: np.ndarray | None = None, mask: np.ndarray | None = None
     ) -> np.ndarray:
-        """[k, k] float64: products of the columns, over the pixels of a `mask` [H, W] of 0 and 1 (None: all)."""
+        """Return [k, k] float64: products of the columns, over the pixels of a `mask` [H, W] of 0 and 1 (None: all)."""
         columns = self.columns(mean, active)
         if mask is not None:
             columns *= mask[..., None]
@@ -70,14 +70,14 @@ class Nuisance:
         return (flat @ flat.T).astype(np.float64)
 
     def explained_gram(self, mean: np.ndarray, products: np.ndarray) -> np.ndarray:
-        """[F, F]: products of what the active columns explain of F frames, from their products [12, F] with these."""
+        """Return products [F, F] of what the active columns explain of F frames, from products [12, F] with them."""
         if not self.active.any():
             return np.zeros((products.shape[1],) * 2)
         active = products[self.active]
         return active.T @ pseudo_inverse(self.gram(mean)) @ active
 
     def energy(self, mean: np.ndarray, products: np.ndarray) -> np.ndarray:
-        """[H, W]: energy over time of what the active columns explain, mean over channels."""
+        """Return [H, W]: energy over time of what the active columns explain, mean over channels."""
         if not self.active.any():
             return np.zeros(mean.shape[:2], np.float32)
         n = self.coefficients(mean, products, self.active)
@@ -85,12 +85,12 @@ class Nuisance:
         return np.einsum("khwc,kl,lhwc->hw", columns, n @ n.T, columns, optimize=True) / 3
 
     def coefficients(self, mean: np.ndarray, products: np.ndarray, active: np.ndarray) -> np.ndarray:
-        """[k, F]: the least-squares n of F frames."""
+        """Return [k, F]: the least-squares n of F frames."""
         return pseudo_inverse(self.gram(mean, active)) @ products[active]
 
 
 def exposure_columns(mean: np.ndarray) -> np.ndarray:
-    """[6, H, W, 3] float32: gain and offset of each channel for a mean picture [H, W, 3]."""
+    """Return [6, H, W, 3] float32: gain and offset of each channel for a mean picture [H, W, 3]."""
     out = np.zeros((6, *mean.shape), np.float32)
     for c in range(3):
         out[c, ..., c], out[3 + c, ..., c] = mean[..., c], 1
@@ -105,7 +105,7 @@ def nuisances_of(
 
 
 def rigid_fields(camera: PosedView, means: np.ndarray) -> np.ndarray:
-    """[6, N, 6] float32: the motions of all Gaussians that look as the camera's own rotation and translation do.
+    """Return [6, N, 6] float32: the motions of all Gaussians that look as the camera's own rotation and translation do.
 
     About and along the camera's x, y, z, for one radian and one scene unit.
     """
@@ -119,7 +119,7 @@ def rigid_fields(camera: PosedView, means: np.ndarray) -> np.ndarray:
 
 
 def inner_products(nuisance: Nuisance, mean: np.ndarray, rows: slice, flat: np.ndarray) -> np.ndarray:
-    """[12, F] float64: products of all columns with a strip of F changes, flattened [F, rows · W · 3]."""
+    """Return [12, F] float64: products of all columns with a strip of F changes, flattened [F, rows · W · 3]."""
     strip, colours = flat.reshape(len(flat), -1, 3), mean[rows].reshape(-1, 3)
     out = np.zeros((COLUMNS, len(flat)))
     for c in range(3):
@@ -188,12 +188,12 @@ class Projection:
         return pictures - np.tensordot(products, basis, 1)
 
     def coefficients(self, picture: np.ndarray) -> np.ndarray:
-        """[12] of the columns, by least squares of a picture [H, W, 3]; weights 1, all columns active."""
+        """Return [12] of the columns, by least squares of a picture [H, W, 3]; weights 1, all columns active."""
         basis = self.basis()
         return self.root.T @ (basis.reshape(len(basis), -1) @ picture.ravel())
 
     def coefficients_of_motion(self, motion: np.ndarray) -> np.ndarray:
-        """[12] of what a motion [N, 6] changes in the picture."""
+        """Return [12] of what a motion [N, 6] changes in the picture."""
         return self.root.T @ (self.adjoint_columns.reshape(len(self.root), -1) @ motion.ravel())
 
     def correct(self, motions: np.ndarray, v_motions: np.ndarray) -> None:
@@ -232,7 +232,7 @@ def exposure(
 
 
 def pseudo_inverse(gram: np.ndarray, tiny: float = _TINY) -> np.ndarray:
-    """Over the directions that the columns have."""
+    """Return the pseudo-inverse over the directions that the columns span."""
     root = _inverse_root(gram, tiny)
     return root.T @ root
 
@@ -246,7 +246,7 @@ def _inverse_root(gram: np.ndarray, tiny: float = _TINY) -> np.ndarray:
 
 
 def rigid_columns(x: np.ndarray) -> np.ndarray:
-    """[N, 3, 6]: what a turn about the origin (radians) and a shift move points x [N, 3] by."""
+    """Return [N, 3, 6]: what a turn about the origin (radians) and a shift move points x [N, 3] by."""
     out = np.zeros((len(x), 3, 6))
     out[:, 0, 1], out[:, 0, 2] = x[:, 2], -x[:, 1]  # ω × x
     out[:, 1, 0], out[:, 1, 2] = -x[:, 2], x[:, 0]

@@ -41,7 +41,7 @@ class CpuOperator:
         return np.stack([self.preconditioner.from_field(self.graph.from_motion(v)) for v in gathered])
 
     def gathered(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
-        """[R, N, 6]: Σ_v C_vᵀ Jᵀ W of target images."""
+        """Return [R, N, 6]: Σ_v C_vᵀ Jᵀ W of target images."""
         out: np.ndarray | None = None
         one_by_one = iter(pictures)
         for k, view in enumerate(self.views):
@@ -80,7 +80,7 @@ class CpuOperator:
         return np.stack([self.with_prior(one, nothing) for one in x])
 
     def with_prior(self, x: np.ndarray, v_motion: np.ndarray) -> np.ndarray:
-        """[P, 3]: the operator on a field x [4N, 3], given JᵀWJ of its motion [N, 6]."""
+        """Return [P, 3]: the operator on a field x [4N, 3], given JᵀWJ of its motion [N, 6]."""
         v = self.graph.from_motion(v_motion)
         self.graph.add_prior(x, self.scale * self.smoothness_weight, self.scale * self.ridge, v)
         return self.preconditioner.from_field(v)

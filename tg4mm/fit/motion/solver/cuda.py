@@ -84,7 +84,7 @@ class DeviceViewJacobian:
         return (slice(i, i + _AT_ONCE) for i in range(0, len(self.pixel), _AT_ONCE))
 
     def _monomials(self, some: slice) -> Tensor:
-        """[m, 5] dx², dx dy, dy², dx, dy."""
+        """Return [m, 5] dx², dx dy, dy², dx, dy."""
         pixel, mean = self.pixel[some], self.means.index_select(0, self.gaussian[some])
         dx = pixel % self.size[0] + 0.5 - mean[:, 0]
         dy = pixel // self.size[0] + 0.5 - mean[:, 1]

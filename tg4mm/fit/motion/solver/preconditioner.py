@@ -58,16 +58,16 @@ class Aggregates:
 
     @cached_property
     def stiffness(self) -> np.ndarray:
-        """[4G, 4G] float64: Pᵀ K P of the prior's matrix K."""
+        """Return [4G, 4G] float64: Pᵀ K P of the prior's matrix K."""
         return np.asarray((self.matrix.T @ (self.graph.blocks @ self.matrix)).toarray())
 
     @cached_property
     def gram(self) -> np.ndarray:
-        """[4G, 4G]: Pᵀ P."""
+        """Return [4G, 4G]: Pᵀ P."""
         return np.asarray((self.matrix.T @ self.matrix).toarray())
 
     def galerkin(self, diagonal: np.ndarray) -> np.ndarray:
-        """[4G, 4G]: Pᵀ D P of a diagonal matrix D [4N]."""
+        """Return [4G, 4G]: Pᵀ D P of a diagonal matrix D [4N]."""
         weighted = self.matrix.copy()
         weighted.data *= np.repeat(diagonal.reshape(-1, ROWS), np.diff(weighted.indptr), axis=0)[..., None]
         return np.asarray((self.matrix.T @ weighted).toarray())
@@ -115,7 +115,7 @@ def _largest_eigenvalue(graph: NeighbourGraph, blocks: np.ndarray) -> float:
 
 
 def _tentative(means: np.ndarray, spacing: float) -> bsr_matrix:
-    """[4N, 4G]: of each aggregate a displacement and its change along x, y, z, about the aggregate's mean."""
+    """Return [4N, 4G]: of each aggregate a displacement and its change along x, y, z, about the aggregate's mean."""
     n, regions = len(means), _split(means)
     column, blocks = np.empty(n, np.int32), np.tile(np.eye(ROWS), (n, 1, 1))
     for g, members in enumerate(regions):
@@ -187,7 +187,7 @@ class DiagonalEstimate:
 
 
 def _off_diagonal_factor(aggregates: Aggregates, probes: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
-    """[4G]: coarse diagonal of JᵀWJ, by the probes, over that of its diagonal's part, [4G].
+    """Return [4G]: coarse diagonal of JᵀWJ, by the probes, over that of its diagonal's part, [4G].
 
     Eight probes estimate the factor to a third, hence the geometric mean with the median of all; and twice that, since
     the two levels add up. Both chosen by iteration counts. Where no view sees most aggregates the factor is 0: then
@@ -205,7 +205,7 @@ def probe(
     weights: np.ndarray | None = None,
     probes: int = PROBES,
 ) -> np.ndarray:
-    """[probes, N, DOF] float32: Jᵀ W^½ z of Rademacher pictures z, whose mean outer product is JᵀWJ."""
+    """Return [probes, N, DOF] float32: Jᵀ W^½ z of Rademacher pictures z, whose mean outer product is JᵀWJ."""
     v_motions, buffers = np.zeros((probes, n, DOF), np.float32), Buffers()
     for k, view in enumerate(views):
         shape = (probes, *view.transmittance.shape, 3)
@@ -215,7 +215,7 @@ def probe(
 
 
 def information(probes: np.ndarray) -> np.ndarray:
-    """[N, 2]: the diagonal of JᵀWJ (Fisher information) by displacement and by rotation, mean over x, y, z.
+    """Return [N, 2]: the diagonal of JᵀWJ (Fisher information) by displacement and by rotation, mean over x, y, z.
 
     From `probe`: the mean of (Jᵀ W^½ z)² is an unbiased estimate of that diagonal.
     """

@@ -68,7 +68,7 @@ class Problem:
         return width, height
 
     def shown(self, v: int, fields: np.ndarray) -> np.ndarray:
-        """[ρ, H, W, 3]: what view v's target images show of fields [R, N, 6]."""
+        """Return [ρ, H, W, 3]: what view v's target images show of fields [R, N, 6]."""
         mixed = fields if self.mixing is None else np.tensordot(self.mixing[v], fields, 1)
         return self.views[v].jvp(np.ascontiguousarray(mixed))
 
@@ -81,7 +81,7 @@ class Problem:
         return without(self.nuisances[v], self.means[v], pictures)
 
     def residual(self, v: int, targets: np.ndarray, fields: np.ndarray) -> np.ndarray:
-        """[ρ, H, W, 3]: target images of view v less what fields [R, N, 6] show, nuisance projected out."""
+        """Return [ρ, H, W, 3]: target images of view v less what fields [R, N, 6] show, nuisance projected out."""
         return self.without_nuisance(v, targets - self.shown(v, fields))
 
     @property

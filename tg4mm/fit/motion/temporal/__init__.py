@@ -54,7 +54,7 @@ class TemporalModel(ABC):
         return self.observations.n_timesteps
 
     def images(self, v: int) -> np.ndarray:
-        """[ρ, H, W, 3]: target images of view v that are fitted."""
+        """Return [ρ, H, W, 3]: target images of view v that are fitted."""
         return self.targets.of(v, self.fitted)
 
     @abstractmethod
@@ -71,7 +71,7 @@ class TemporalModel(ABC):
         return self.config.iterations
 
     def support(self, folds: np.ndarray) -> np.ndarray | None:
-        """[R, N] float32: where fields may move Gaussians in the next fit, 1 or 0, by those of the last [P, R, N, 6].
+        """Return [R, N] float32: 1 for Gaussians that may move in the next fit, else 0; by the fields [P, R, N, 6].
 
         None where one fit is enough.
         """
@@ -85,7 +85,7 @@ class TemporalModel(ABC):
         """
 
     def ground_squares(self) -> np.ndarray | None:
-        """[N] squares of the fields' error by not knowing what stands still; None: that is no question."""
+        """Return [N] squares of the fields' error by not knowing what stands still; None: that is no question."""
         return None
 
     @abstractmethod

@@ -125,7 +125,7 @@ class IndependentClocks(SinusoidalModel):
         return out - out[:1]
 
     def settled(self, folds: np.ndarray) -> "tuple[IndependentClocks, np.ndarray]":
-        """And the phases of the frequencies that are kept, in figures; of a rig its offsets, in a note."""
+        """Drop noise like all models; log the phases of the other frequencies, and note the clock offsets of a rig."""
         model, kept = super().settled(folds)
         phases = self.phases[:, np.isin(self.hz, model.hz)]
         figures = _phase_figures(self.observations, phases, model.hz) if len(model.hz) else {}
@@ -169,7 +169,7 @@ def _orthonormal(times_s: np.ndarray, freqs_hz: np.ndarray, scale: float) -> tup
 
 
 def region_phases(series: Sequence[RegionSeries], hz: np.ndarray, seed: int) -> np.ndarray:
-    """[C, K] radians, 0 for the first clock: alternating with each region's 3D phasor, the best of many starts."""
+    """Return phases [C, K] in radians, 0 for the first clock, alternating with the regions' phasors, best of many."""
     phasors = np.stack([s.phasors(sinusoids(s.times_s, hz)) for s in series])  # [C, K, G, 2] of b
     normals = np.stack([s.normals[0] for s in series])  # [C, G, 2, 2]
     axes = np.stack([s.axes[0] for s in series])  # [C, 2, 3]
@@ -193,7 +193,7 @@ def region_phases(series: Sequence[RegionSeries], hz: np.ndarray, seed: int) -> 
 
 
 def rotations(phases: np.ndarray) -> np.ndarray:
-    """[2K, 2K]: what phases [K] do to pairs (real, imaginary) of phasors."""
+    """Return [2K, 2K]: what phases [K] do to pairs (real, imaginary) of phasors."""
     out = np.zeros((2 * len(phases),) * 2, np.float32)
     for k, angle in enumerate(phases):
         c, s = np.cos(angle), np.sin(angle)

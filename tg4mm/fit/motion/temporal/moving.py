@@ -117,7 +117,7 @@ class MovingCamera(SinusoidalModel):
         )  # fmt: skip
 
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
-        """All functions together, in some of the frames."""
+        """Return all functions together, in some of the frames."""
         thinned = [replace(fold, views=fold.views[::_THINNED]) for fold in self.folds]
         return self.targets.images, self.problem, thinned
 
@@ -145,7 +145,7 @@ class MovingCamera(SinusoidalModel):
         return np.concatenate([np.repeat(moves, 2, 0), slow]).astype(np.float32)
 
     def _moves(self, fields: np.ndarray) -> np.ndarray:
-        """[K, N] bool: by a quarter of the largest amplitude or more, of fields [2K, N, 6]."""
+        """Return [K, N] bool: by a quarter of the largest amplitude or more, of fields [2K, N, 6]."""
         squares = (fields[..., :3] ** 2).sum(2)
         amplitudes = np.sqrt(squares[0::2] + squares[1::2])
         largest = np.quantile(amplitudes[:, self.path.seen > 0], _LARGEST, axis=1, keepdims=True)
@@ -210,7 +210,7 @@ def _undetermined_notes(hz: np.ndarray, is_determined: np.ndarray, is_asked: np.
 
 
 def _seen_weights(problem: Problem) -> np.ndarray:
-    """[N]: how much is seen of each Gaussian, in some frames."""
+    """Return [N]: how much is seen of each Gaussian, in some frames."""
     ones = np.ones((*problem.size[::-1], 3), np.float32)
     total = np.zeros(problem.n_gaussians)
     for view in problem.views[:: max(len(problem.views) // _JUDGED, 1)]:
@@ -220,7 +220,7 @@ def _seen_weights(problem: Problem) -> np.ndarray:
 
 
 def functions_of(observations: Observations, frequencies: Frequencies) -> np.ndarray:
-    """[R, F]: cosines and sines, then a constant and slow polynomials; the squares of each sum to 1."""
+    """Return [R, F]: cosines and sines, then a constant and slow polynomials; the squares of each sum to 1."""
     times = np.array([f.times_s[0] for f in observations.frames])
     degree = max(round(2 * _SLOW_BELOW * float(frequencies.hz.min()) * float(np.ptp(times)) / 2), 1)
     slow = polynomials(times, min(degree, 4)).T

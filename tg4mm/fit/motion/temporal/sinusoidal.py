@@ -61,7 +61,7 @@ class Frequencies:
     deviation_hz: np.ndarray  # [K] standard deviation by noise (Cramér-Rao)
 
     def selected(self, keep: np.ndarray) -> "Frequencies":
-        """Some of the frequencies [K] bool."""
+        """Return some of the frequencies, [K] bool."""
         return Frequencies(self.hz[keep], self.deviation_hz[keep])
 
 
@@ -80,7 +80,7 @@ class _Record:
         return _Record(y, times_s, np.median(_power(y, times_s, grid), axis=0) / np.log(2))
 
     def without(self, hz: np.ndarray) -> np.ndarray:
-        """[F, S]: the residual of sinusoids of these frequencies [K]."""
+        """Return [F, S]: the residual of sinusoids of these frequencies [K]."""
         return residual(self.y, sinusoids(self.times_s, hz).T) if len(hz) else self.y
 
     def strongest(self) -> "_Record":
@@ -90,7 +90,7 @@ class _Record:
         return replace(self, y=y[:, np.argsort((y**2).sum(0))[::-1][:_STRONG]])
 
     def without_third(self, k: int) -> "_Record":
-        """All but the k-th third of the frames."""
+        """Return all but the k-th third of the frames."""
         kept = np.delete(np.arange(len(self.y)), np.array_split(np.arange(len(self.y)), _THIRDS)[k])
         return replace(self, y=self.y[kept], times_s=self.times_s[kept])
 
@@ -137,13 +137,13 @@ def find_frequencies(
 
 
 def _power(y: np.ndarray, t: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """[M, S]: power of each series at each frequency; mean 1 for white noise of variance 1."""
+    """Return [M, S]: power of each series at each frequency; mean 1 for white noise of variance 1."""
     products = (sinusoids(t, grid) @ y).reshape(len(grid), 2, -1)
     return np.asarray((products**2).sum(1) / len(t))
 
 
 def _spectrum(records: Sequence[_Record], hz: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """[M]: mean over all series of power over noise, 1 for noise alone; sinusoids of frequencies [K] taken out."""
+    """Return [M]: power over noise, mean over all series, without sinusoids of frequencies [K]; 1 for noise alone."""
     total, count = np.zeros(len(grid)), 0
     for r in records:
         measured = r.noise > 0
@@ -155,7 +155,7 @@ def _spectrum(records: Sequence[_Record], hz: np.ndarray, grid: np.ndarray) -> n
 
 
 def _refined(records: Sequence[_Record], hz: np.ndarray, step: float) -> np.ndarray:
-    """All frequencies moved to where the residual is least, by at most `step`."""
+    """Return all frequencies, moved by at most `step` to the least residual."""
     strongest = [r.strongest() for r in records]
     scale = np.sqrt(sum(float((r.y**2).sum()) for r in strongest)) or 1.0
 
@@ -167,7 +167,7 @@ def _refined(records: Sequence[_Record], hz: np.ndarray, step: float) -> np.ndar
 
 
 def _scatter(records: Sequence[_Record], hz: np.ndarray, step: float) -> np.ndarray:
-    """[K]: standard error of the frequencies, from how they differ between clocks and between thirds of the record.
+    """Return the frequencies' standard errors [K] by their scatter between clocks and between thirds of the record.
 
     The larger of the two. What all clips have alike (a codec that follows the motion late after a clip's first picture,
     a vibration that changes) shows in thirds of the record alone.
@@ -215,7 +215,7 @@ class RegionSeries:
         return {"sides": self.sides, "normals": self.normals, "axes": self.axes}
 
     def whitened(self) -> np.ndarray:
-        """[F, 2G]: A^(-1/2) b, whose noise is that of one pixel, alike for all regions; 0 where nothing is seen."""
+        """Return A^(-1/2) b, [F, 2G], with the noise of one pixel in all regions; 0 for invisible ones."""
         values, vectors = np.linalg.eigh(self.normals)
         limit = _SEEN * np.median(values[..., 1][values[..., 1] > 0]) if (values > 0).any() else 1.0
         root = np.where(values > limit, 1 / np.sqrt(np.maximum(values, 1e-30)), 0)
@@ -225,7 +225,7 @@ class RegionSeries:
         return (root * b).reshape(len(b), -1)
 
     def phasors(self, functions: np.ndarray) -> np.ndarray:
-        """[K, G, 2] complex: of least squares with functions of time [2K, F], as `sinusoids` gives them.
+        """Return [K, G, 2] complex: of least squares with functions of time [2K, F], as `sinusoids` gives them.
 
         Sums b_f over the functions, to be divided by A: E m. For one fixed camera. A constant and a trend are fitted
         besides.
@@ -252,7 +252,7 @@ def region_series(seen: FixedCameras, problem: Problem, checkpoint: Checkpoint) 
 
 
 def labels_of(aggregates: Aggregates) -> np.ndarray:
-    """[N] int: the region of every Gaussian, the aggregates of the solver's coarse level."""
+    """Return [N] int: the region of every Gaussian, the aggregates of the solver's coarse level."""
     return np.asarray(aggregates.tentative.indices)
 
 
@@ -266,7 +266,7 @@ def shift_series(model: ObservationModel, labels: np.ndarray, changes: Iterable[
 
 
 def _normals(model: ObservationModel, labels: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """[G, 2, 2], by Hutchinson's estimator: with a random sign on each region, products between regions cancel."""
+    """Return [G, 2, 2] by Hutchinson's estimator: with random signs of the regions, products between regions cancel."""
     rng, count = np.random.default_rng(0), int(labels.max()) + 1
     signs = rng.choice(np.array([-1.0, 1.0]), (_PROBES, count))
     motions = np.zeros((2 * _PROBES, len(labels), DOF), np.float32)
@@ -296,7 +296,7 @@ def moving_camera_series(
 
 
 def _summed(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """[F, G, 2]: sums of [F, N, 2] over regions."""
+    """Return [F, G, 2]: sums of [F, N, 2] over regions."""
     order = np.argsort(labels, kind="stable")
     starts = np.searchsorted(labels[order], np.arange(int(labels.max()) + 1))
     return np.add.reduceat(values[:, order].astype(np.float64), starts, axis=1)
@@ -312,12 +312,12 @@ class SinusoidalModel(TemporalModel):
 
     @property
     def hz(self) -> np.ndarray:
-        """[K], by falling strength."""
+        """Return [K], by falling strength."""
         return self.frequencies.hz
 
     @property
     def is_asked(self) -> np.ndarray:
-        """[K] bool: which lie in the requested band, and are kept whatever their error."""
+        """Return [K] bool: which lie in the requested band, and are kept whatever their error."""
         band = asked_band(self.config.band, self.observations.fps)
         return in_band(self.hz, band) if band is not None else np.zeros(len(self.hz), bool)
 
@@ -328,7 +328,7 @@ class SinusoidalModel(TemporalModel):
         return self._with(is_reliable), folds[:, np.repeat(is_reliable, 2)]
 
     def _with(self, keep: np.ndarray) -> Self:
-        """Only the frequencies `keep` [K] bool; the log names all where none is kept."""
+        """Return only the frequencies `keep` [K] bool; the log names all if none remains."""
         rows, frequencies = np.repeat(keep, 2), self.frequencies.selected(keep)
         mixing = [m[:, : len(rows)][:, rows] for m in self.problem.mixing or ()]
         return replace(
@@ -401,12 +401,12 @@ def _tone_of(
 
 
 def in_band(hz: np.ndarray, band: tuple[float, float]) -> np.ndarray:
-    """[K] bool, ends included."""
+    """Return [K] bool, ends included."""
     return np.asarray((hz >= band[0]) & (hz <= band[1]))
 
 
 def frequency_figures(frequencies: Frequencies) -> dict[str, Any]:
-    """For the log."""
+    """Return figures for the log."""
     return {
         "frequencies_hz": [round(float(f), 4) for f in frequencies.hz],
         "frequency_deviation_hz": [round(float(f), 5) for f in frequencies.deviation_hz],
@@ -422,7 +422,7 @@ def no_targets(observations: Observations) -> TargetImages:
 
 
 def _reliability_of_pairs(folds: np.ndarray) -> np.ndarray:
-    """[K] of each frequency's sine and cosine together, of the fields [2, 2K, N, 6] of two halves; 1 of one fold."""
+    """Return the reliability [K] of sine and cosine together, from fields [2, 2K, N, 6] of two halves; 1 of one."""
     if len(folds) == 1:
         return np.ones(folds.shape[1] // 2)
     a, b = (half[..., :3].reshape(half.shape[0] // 2, -1, 3) for half in folds)

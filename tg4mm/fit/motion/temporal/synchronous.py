@@ -48,13 +48,11 @@ _LARGEST = 24  # timesteps whose motion is looked at
 
 
 def sinusoidal_courses(gram: np.ndarray, pixels: float, times_s: np.ndarray) -> np.ndarray | None:
-    """[2K, T]: cosine and sine of the K vibrations that changes of products `gram` [T, T] at times [T] consist of.
+    """Return cosine and sine [2K, T] of the K vibrations in changes with products `gram` [T, T]; None if none.
 
-    None where there are none.
-
-    The strongest first; each must exceed what chance makes of noise that is spread over `pixels` in any two directions
-    (Marchenko & Pastur 1967). Taken are the fewest that hold 70 % of the energy that stands out of the noise, if with
-    the components of what is left they are no more functions than the components alone and one for each sinusoid.
+    The strongest is first; each must exceed the largest value of noise over `pixels` in any two directions (Marchenko &
+    Pastur 1967). The fewest are used that contain 70 % of the energy above the noise, if together with the components
+    of the residual they are at most one function per sinusoid more than the components alone.
     """
     n_timesteps = len(gram)
     alone, above = _standing_out(gram, pixels)
@@ -80,7 +78,7 @@ def sinusoidal_courses(gram: np.ndarray, pixels: float, times_s: np.ndarray) -> 
 
 
 def _strongest(gram: np.ndarray, times_s: np.ndarray) -> np.ndarray:
-    """[2, T]: cosine and sine of the strongest frequency, with the decay that its record shows."""
+    """Return [2, T]: cosine and sine of the strongest frequency, with the decay that its record shows."""
     energy, vectors = np.linalg.eigh(gram)
     series = vectors[:, ::-1] * np.sqrt(np.maximum(energy[::-1], 0))
     step = float(np.median(np.diff(times_s)))
@@ -110,7 +108,7 @@ def _standing_out(gram: np.ndarray, pixels: float) -> tuple[int, float]:
 
 
 def falling_energy(gram: np.ndarray) -> np.ndarray:
-    """[T] energies of the principal components of products [T, T], the largest first."""
+    """Return [T] energies of the principal components of products [T, T], the largest first."""
     return np.maximum(np.linalg.eigvalsh(gram)[::-1], 0)
 
 
@@ -120,7 +118,7 @@ def rank_of(energy: np.ndarray) -> int:
 
 
 def orthonormal(courses: np.ndarray | None, gram: np.ndarray) -> np.ndarray:
-    """[K, T] orthonormal functions of mean 0 that span courses [C, T], the strongest in the pictures first."""
+    """Return [K, T] orthonormal functions of mean 0 that span courses [C, T], the strongest in the pictures first."""
     if courses is None or not len(courses):
         return np.zeros((0, len(gram)))
     centred = courses - courses.mean(1, keepdims=True)
@@ -182,7 +180,7 @@ class Synchronous(TemporalModel):
 
     @property
     def basis(self) -> np.ndarray:
-        """[R, F]: the functions of time."""
+        """Return [R, F]: the functions of time."""
         return self.targets.basis[self.fitted]
 
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
@@ -204,7 +202,7 @@ class Synchronous(TemporalModel):
         return self, folds
 
     def pixels_moved(self, fields: np.ndarray) -> float:
-        """At the timesteps at which it is largest."""
+        """Return the motion in pixels at the timesteps at which it is largest."""
         views, displacement = self.problem.views, fields[..., :3]
         sizes = np.linalg.norm(self.basis.T * pixels_moved(views, displacement), axis=1)
         gains = self.basis.T[np.argsort(sizes)[-_LARGEST:]]
