@@ -96,7 +96,7 @@ class RecordingConfig:
     keep_duplicates: bool = keep_duplicates_option()
     synchronous: bool = option(
         False,
-        "One signal started all cameras of a rig. [default: independent clocks, whose offsets are found "
+        "One signal triggers every frame of a rig's cameras. [default: independent clocks, whose offsets are found "
         "from a steady vibration]",
     )
 
@@ -206,7 +206,7 @@ class Layout(StrEnum):
 class ConvertOptions:
     """Convert a dataset to a layout that other trainers read.
 
-    Pictures are linked, not copied, where the file system can. Lengths stay in scene units.
+    Pictures are linked, not copied, if the file system supports it. Lengths stay in scene units.
     """
 
     dataset: Path = argument(

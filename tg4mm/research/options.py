@@ -36,7 +36,7 @@ def lpips_option() -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions:
-    """Render a small scene, train, magnify and score: an example from nothing.
+    """Render a small scene, train, magnify and score: an example without own data.
 
     Renders a vibrating scene in Blender, trains, magnifies the motion by α = 20, compares it with the ground truth,
     exports a splat file, and writes OUT/report.html.
@@ -75,7 +75,7 @@ class TruthOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ReleaseOptions:
-    """Write the card and the checksums with which datasets are passed on.
+    """Write a dataset card and checksums, to share datasets.
 
     DIR/README.md: what the datasets are; DIR/SHA256SUMS: of every file.
     """

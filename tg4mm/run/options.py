@@ -52,7 +52,7 @@ class TrainOptions:
     )
     mask: str | None = option(
         None,
-        "The valid part of that camera's pictures, for the scene at rest and its motion (--set space.mask). [default: "
+        "Valid part of the fixed camera's pictures, for the scene at rest and its motion (--set space.mask). [default: "
         "everything]",
         metavar="FILE | X,Y X,Y …",
     )

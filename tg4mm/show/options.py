@@ -90,7 +90,7 @@ def _sensor_option() -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class LookOptions:
-    """Find what vibrates in a video of a fixed camera, before any model is fitted: seconds.
+    """Find in seconds what vibrates in a video of a fixed camera, without fitting a model.
 
     The picture is cut into cells, the shift of every cell is measured in every picture (pixels), and lines (Hz) are
     tested region by region, the strongest first. Printed are frequencies and amplitudes with their standard deviations
@@ -203,7 +203,7 @@ class MeasureOptions:
     regions: "Regions | None" = regions_option()
     reference: str | None = option(None, "Reference sensor of phases and coherence. [default: the first]")
     band: Band | None = band_option(
-        "A band in which every sensor gets a peak, found or not, Hz. [default: the one given to train]"
+        "Band in Hz in which every sensor gets a peak, detected or not. [default: the one given to train]"
     )
     formats: str = option(
         "csv,uff,mat,hdf5,xlsx",
@@ -218,11 +218,11 @@ class MeasureOptions:
     )
     animate: bool = option(True, "Write animated pictures of the shape at every peak.", off="--no-animate")
     fps: float | None = option(
-        None, "Of a video: frame rate at which it was filmed. [default: the file's own times]", metavar="HZ"
+        None, "Frame rate at which a video was filmed. [default: the file's own times]", metavar="HZ"
     )
     readout: float | None = option(
         None,
-        "Of a video: milliseconds from a picture's first row to its last (rolling shutter). [default: global shutter]",
+        "Rolling shutter of a video: milliseconds from a picture's first row to its last. [default: global shutter]",
         metavar="MS",
     )
 
@@ -231,11 +231,11 @@ class MeasureOptions:
 class AveragingOptions:
     """Options for the division of a record into segments."""
 
-    window: str = option("hann", "Of averaged spectra, as scipy calls it.")
+    window: str = option("hann", "Window of averaged spectra, by scipy's name.")
     segment_s: float | None = option(
         None, "Length of a segment. [default: eight averages]", name="--segment", unit="seconds"
     )
-    overlap: float = option(0.5, "Share of a segment that the next one has, too.")
+    overlap: float = option(0.5, "Overlap of consecutive segments, as a share of their length.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,7 +249,9 @@ class AnalyseOptions(AveragingOptions):
         metavar="SENSOR/AXIS",
         given=tuple[str, ...],
     )
-    band: Band | None = band_option("Hz, of levels and modes. [default: from two cycles in the record on]")
+    band: Band | None = band_option(
+        "Band of levels and modes, Hz. [default: from two cycles in the record on]"
+    )
     machine: str | None = option(
         None,
         "Zone of ISO 20816-1 for a machine of this class.",
@@ -259,23 +261,25 @@ class AnalyseOptions(AveragingOptions):
     reference: Path | None = option(
         None, "CSV of an accelerometer or a hammer: transfer functions to it.", name="--with", metavar="FILE"
     )
-    column: str | None = option(None, "Of --with. [default: the only one]", name="--input", metavar="COLUMN")
+    column: str | None = option(
+        None, "Column of --with: the input. [default: the only one]", name="--input", metavar="COLUMN"
+    )
     sync: str | None = option(
         None,
-        "Of --with: an accelerometer where the first channel is, by which the lag is estimated. [default: the input]",
+        "Column of --with: an accelerometer beside the first channel, to estimate the lag. [default: the input]",
         metavar="COLUMN",
     )
     lag: float | None = option(
-        None, "The film's clock less the instrument's. [default: estimated]", unit="seconds"
+        None, "The film's clock minus the instrument's. [default: estimated]", unit="seconds"
     )
     speed: str | None = option(
         None,
-        "Revolutions per minute: amplitudes of orders of it. auto: the strongest line of the first channel.",
+        "Revolutions per minute, whose orders are estimated. auto: the strongest line of the first channel.",
         metavar="RPM|auto",
     )
     tacho: Path | None = option(
         None,
-        "In place of --speed, a CSV file by the film's clock: pulse_s, a time for each turn, or time_s and speed_rpm.",
+        "Instead of --speed: a CSV file on the film's clock with pulse_s, a time for each turn, or time_s and speed_rpm.",
         metavar="FILE",
     )
     orders: Sequence[float] = option(
@@ -285,14 +289,14 @@ class AnalyseOptions(AveragingOptions):
         given=tuple[float, ...],
     )
     against: Path | None = option(
-        None, "An earlier record of the same sensors: what changed.", metavar="MEASURED"
+        None, "An earlier record of the same sensors, to report changes.", metavar="MEASURED"
     )
     modes: bool = option(False, "Modal parameters, by SSI-cov and FDD; with --with by LSCF, too.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class AnalyseCommand(AnalyseOptions):
-    """Compute engineering quantities: mm/s rms, averaged spectra, transfer functions, modes, changes, each ±."""
+    """Compute engineering quantities with ±: mm/s rms, averaged spectra, transfer functions, modes, changes."""
 
     measured: Path = argument(
         "MEASURED",
@@ -423,7 +427,7 @@ class ExportOptions(MagnifyOptions):
     )
     low_pass: LowPass = option(
         LowPass.baked,
-        "baked: each Gaussian is as wide as training drew it, 0.3 square pixels more than it was trained; for Blender, "
+        "baked: each Gaussian is as wide as training drew it, with 0.3 square pixels more than its scales; for Blender, "
         "and for windows larger than the training pictures. none: scales as trained, for tools that add these 0.3 "
         "square pixels themselves, at the size of the training pictures. Not for html.",
     )
@@ -485,7 +489,7 @@ class ProcessCommand(ProcessOptions):
 
     Writes OUT/dataset (tg4mm sfm), OUT/run (train), OUT/measured (measure), OUT/magnified.mp4 of the strongest
     vibration (render), OUT/report.html (report) and OUT/page.html (export --format html). Steps that are finished are
-    not repeated; with another option, what it changes is done again, and the folder of before is kept as run_1.
+    not repeated; a changed option repeats what depends on it, and the earlier folder is kept as run_1.
     """
 
     source: Path = argument("INPUT", INPUT)
