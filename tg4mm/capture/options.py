@@ -71,7 +71,7 @@ class RecordingConfig:
     )
     readout_s: float | None = option(
         None,
-        "Rolling shutter of fixed cameras: milliseconds from a picture's first row to its last, 8 to 25 of most "
+        "Rolling shutter of fixed cameras: milliseconds from a picture's first row to its last, 8 to 25 for most "
         "phones. [default: global shutter]",
         name="--readout",
         metavar="MS",

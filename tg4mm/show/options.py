@@ -92,11 +92,10 @@ def _sensor_option() -> Any:
 class LookOptions:
     """Find in seconds what vibrates in a video of a fixed camera, without fitting a model.
 
-    The picture is cut into cells, the shift of every cell is measured in every picture (pixels), and lines (Hz) are
-    tested region by region, the strongest first. Printed are frequencies and amplitudes with their standard deviations
-    and positions, independently moving regions, changes of light, the smallest motion that would be found, what the
-    record cannot resolve, and the next command. A picture shows the regions on the first frame and the composite
-    spectrum.
+    Divides the picture into cells, measures the shift of every cell in every picture (pixels), and tests lines (Hz)
+    region by region, the strongest first. Prints frequencies and amplitudes with standard deviations and positions,
+    independently moving regions, changes of light, the smallest motion that would be found, what the record cannot
+    resolve, and the next command. A picture shows the regions on the first frame and the composite spectrum.
     """
 
     video: Path = argument(
@@ -279,7 +278,7 @@ class AnalyseOptions(AveragingOptions):
     )
     tacho: Path | None = option(
         None,
-        "Instead of --speed: a CSV file on the film's clock with pulse_s, a time for each turn, or time_s and speed_rpm.",
+        "Instead of --speed: a CSV file on the film's clock with pulse_s, one time per turn, or time_s and speed_rpm.",
         metavar="FILE",
     )
     orders: Sequence[float] = option(
@@ -427,7 +426,7 @@ class ExportOptions(MagnifyOptions):
     )
     low_pass: LowPass = option(
         LowPass.baked,
-        "baked: each Gaussian is as wide as training drew it, with 0.3 square pixels more than its scales; for Blender, "
+        "baked: each Gaussian is as wide as training drew it, 0.3 square pixels wider than its scales; for Blender, "
         "and for windows larger than the training pictures. none: scales as trained, for tools that add these 0.3 "
         "square pixels themselves, at the size of the training pictures. Not for html.",
     )

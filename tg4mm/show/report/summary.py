@@ -142,7 +142,7 @@ def _motion_stats(m: Material) -> list[Stat]:
         pixels = "" if m.result.noise_px is None else f"{m.result.noise_px:.2g} px: "
         if m.result.is_flat and m.result.noise_px is not None:
             value, unit, pixels = f"{m.result.noise_px:.2g}", "px", ""
-        found.append(Stat("Noise floor", value, unit, f"{pixels}a motion as large as its noise"))
+        found.append(Stat("Noise floor", value, unit, f"{pixels}at this amplitude, motion equals noise"))
     return found
 
 

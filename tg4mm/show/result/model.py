@@ -168,7 +168,7 @@ def _noise(result: Result) -> list[str]:
     if result.noise is not None:
         sizes = [] if result.noise_px is None else [f"{result.noise_px:.2g} px"]
         sizes += [] if result.is_flat and sizes else [f"{result.noise:.2g} scene units"]
-        lines.append(_row("noise floor", f"{', '.join(sizes)}: a motion as large as its noise"))
+        lines.append(_row("noise floor", f"{', '.join(sizes)}: at this amplitude, motion equals noise"))
     if result.agreement:
         shown = ", ".join(f"{r:.4g}" for r in result.agreement[:_MOST])
         more = " …" if len(result.agreement) > _MOST else ""
