@@ -126,7 +126,7 @@ class LookText:
         out += [
             (
                 "light",
-                f"flickers at {value_with_deviation(t.hz, t.hz_deviation)} Hz, by {t.amplitude:.2g} of it",
+                f"flickers at {value_with_deviation(t.hz, t.hz_deviation)} Hz, by {100 * t.amplitude:.2g} %",
             )
             for t in f.light
         ]
@@ -153,20 +153,19 @@ class LookText:
         f = self.found
         half = f.rate / 2
         out = [
-            f"what is faster than {half:.4g} Hz from what is slower: it shows at an alias, |k × {f.rate:.4g} Hz ± its "
-            "frequency|",
-            f"frequencies under {LOWEST / f.duration_s:.2g} Hz, and two that are nearer than "
+            f"frequencies above {half:.4g} Hz from lower ones: they appear at aliases, |k × {f.rate:.4g} Hz ± f|",
+            f"frequencies below {LOWEST / f.duration_s:.2g} Hz, and two that are closer than "
             f"{1 / f.duration_s:.2g} Hz: the record covers {f.duration_s:.3g} s",
         ]
         if f.repeats:
             out.append(
-                f"anything by {len(f.repeats)} duplicate frames: they are left out, and the others have the times that "
-                f"this gives; {OFF} keeps them all"
+                f"anything by {len(f.repeats)} duplicate frames: they are left out, and others get corrected times; "
+                f"{OFF} keeps all"
             )
         elif steps := uneven_steps(f.times_s):
             out.append(
-                f"more than its times tell: the frame rate varies, with steps of {1e3 * steps[0]:.3g} to "
-                f"{1e3 * steps[1]:.3g} ms; each picture has its own"
+                f"times better than the file: the frame rate varies, with steps of {1e3 * steps[0]:.3g} to "
+                f"{1e3 * steps[1]:.3g} ms; each picture keeps its own time"
             )
         if f.light:
             out.append("faint vibrations at the frequencies of the light")
@@ -177,7 +176,7 @@ class LookText:
                 "tg4mm sfm --kind handheld"
             )
         if (share := float(f.usable.mean())) < _TEXTURE:
-            out.append(f"what moves where there is no texture: {share:.0%} of the picture can be used")
+            out.append(f"motion where there is no texture: {share:.0%} of the picture can be used")
         return out + [note for note in [row_note(f)] if note]
 
     def commands(self) -> list[tuple[str, str]]:

@@ -109,7 +109,7 @@ def test_the_lines_say_it_in_every_unit(result, run):
     assert "the sun was low" in text
     assert "0.99, 0.9: agreement of two halves" in text
     assert "damping not determined" in text
-    assert "nearer than 1 Hz" in text
+    assert "closer than 1 Hz" in text
     assert f"--band {result.band[0]:g} {result.band[1]:g}, which --band auto takes" in text
 
 

@@ -100,7 +100,7 @@ def test_noise_that_is_magnified_beyond_a_pixel_is_said(run, tmp_path):
     assert "noise is magnified to 2 px" in line
     assert "turn" not in line
     assert too_far(copy, plan(2, 4, 0.9 / noise_px - 1)) is None
-    assert f"α = {float(f'{1 / noise_px - 1:.2g}'):g} is as far as it holds" in line
+    assert f"α = {float(f'{1 / noise_px - 1:.2g}'):g} is the limit" in line
 
 
 def test_turns_beyond_half_a_radian_are_said(run):

@@ -185,7 +185,7 @@ def _of_region(result: SensorResult) -> Iterator[str]:
 def _unexplained(result: SensorResult, share: float, size: float, why: str) -> str:
     return (
         f"{result.name}: {100 * share:.0f} % of its largest changes are not explained by a motion of "
-        f"{size:.2g} px: {why}, and its numbers may show it"
+        f"{size:.2g} px: {why}; its numbers may be affected"
     )
 
 
@@ -204,8 +204,8 @@ def _of_sensor(scene: Prepared, result: SensorResult) -> Iterator[str]:
         if hidden := [axis for axis, hides in zip(series.labels, is_hidden, strict=True) if hides]:
             where = f" in {series.clock}" if series.clock else ""
             yield (
-                f"{result.name}: motion along {', '.join(hidden)}{where} is hardly visible: most of what the "
-                "scene at rest would show of it is not in the pictures"
+                f"{result.name}: motion along {', '.join(hidden)}{where} is hardly visible: most of the "
+                "change that the scene at rest predicts is missing in the pictures"
             )
     longest = max(len(s.times_s) for s in result.all_series)
     if longest < FEWEST:

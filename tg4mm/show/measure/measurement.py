@@ -130,7 +130,7 @@ def measure(
     results = [r if r is against else r.with_(relation=relation_of(r, against)) for r in results]
     notes = limits_of(scene, results)
     if scale is not None:
-        notes = (*notes, f"the scale is known to {100 * scale.share:.2g} % by its marks, which no ± contains")
+        notes = (*notes, f"the scale is known to {100 * scale.share:.2g} % by its marks, which no ± includes")
     shapes = shapes_of(scene, results)
     return Measurement(scene, tuple(results), groups, shapes, first, notes, phases, found, metres)
 

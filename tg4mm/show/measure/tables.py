@@ -320,7 +320,7 @@ def sep005(found: Measurement) -> list[dict[str, Any]]:
 
 def format_table(measurement: Measurement) -> str:
     """Return the table and notes as text; amplitudes are zero to peak along each orbit's main axis."""
-    reference = f"phases against {measurement.reference}, where its peaks are; amplitudes zero to peak"
+    reference = f"phases relative to {measurement.reference}, at its peaks; amplitudes zero to peak"
     notes = (f"note: {note}" for note in measurement.notes)
     return "\n".join([*aligned(table_of(measurement)), "", reference, *notes, ""])
 

@@ -59,8 +59,7 @@ def prepare_video(path: Path | str, fps: float | None = None, readout_s: float =
         raise MeasureError(f"{path}: has no time stamps; give --fps, frames per second")
     if readout_s and is_turned(path):
         raise MeasureError(
-            f"--readout: the rows of {path.name} are turned when they are shown, so that they are not read from top "
-            "to bottom"
+            f"--readout: {path.name} is rotated for display, so its rows are not read from top to bottom; leave it out"
         )
     fps = fps or video_info(path).filmed_at
     data, stamps, kinds, meter = _read(path, fps)
@@ -171,6 +170,6 @@ def _shake(pictures: GreyPictures) -> str:
     if not is_shaking:
         return ""
     return (
-        f"the camera seems to shake, by {pixels:.2g} px (rms), which every sensor contains: compare with a sensor on "
-        "something that stands still, or train a run, which takes it out"
+        f"the camera shakes by about {pixels:.2g} px (rms), which every sensor includes: compare with a sensor on a "
+        "static part, or train a run, which removes it"
     )

@@ -63,10 +63,10 @@ def _reminder(scored: list[dict[str, Any]]) -> Block:
         return Text("The images are too small for SSIM's window of 11 × 11 pixels.", "note")
     first = f"A model in which nothing moves scores SSIM {still:.4f} at α = {alpha:g}"
     if ceiling is None:
-        return Text(f"{first}. A score says something about motion only beside that one.", "note")
+        return Text(f"{first}. Compare every score with that one.", "note")
     return Text(
-        f"{first}, and the same model moved exactly right {ceiling:.4f}. A score says something about motion only "
-        "beside those two; above the second lies what shows changes of light that it lacks.",
+        f"{first}, and the same model with the exact motion {ceiling:.4f}. Compare every score with "
+        "these two; a model that also shows changes of light can exceed the second.",
         "note",
     )
 
@@ -84,8 +84,8 @@ def _score_curves(scored: list[dict[str, Any]]) -> Block:
     curves = chart(draw, "SSIM over magnification factor α")
     caption = (
         "SSIM of magnified test views against ground truth (1 is identical; 11 × 11 Gaussian window, σ = 1.5; mean "
-        "over all test cameras and timesteps). “Ceiling” applies the exact motion to the same Gaussians: its loss is "
-        "that of the static model and of changes of light, which it does not show."
+        "over all test cameras and timesteps). “Ceiling” applies the exact motion to the same Gaussians: it "
+        "lacks only what the static model and changes of light cost."
     )
     return Figure([drawing(curves)], caption, width="narrow")
 
@@ -132,8 +132,8 @@ def _differences(m: Material) -> Block:
     ]
     caption = (
         f"Difference maps |I(t + 1) − I(t)| of consecutive frames at α = {m.view.alpha:g} (TG4MM, Eq. 17; mean of the "
-        "colour channels), all on one scale. Bright is where the picture changes. The rows should agree; light in the "
-        "first that is not in the second is motion that is not there."
+        "colour channels), all on one scale. Bright is where the picture changes. The rows should agree; where only "
+        "the first is bright, its motion is false."
     )
     legend = colour_bar(top, "of full scale", "change of intensity")
     return Figure(panels, caption, columns=count, legend=legend)
@@ -258,7 +258,7 @@ def commands_section(m: Material, sensors: Sequence[Sensor], asked_alpha: float 
     run, alpha = str(m.run.path), f"{m.view.alpha:g}"
     band = [] if m.band is None else ["--band", *(f"{f:g}" for f in m.band)]
     named = [part for s in sensors for part in ("--sensor", str(s))]
-    lines = [("Train again, the same way", [*_train(m), "--out", f"{run}_again"])]
+    lines = [("Train again with the same settings", [*_train(m), "--out", f"{run}_again"])]
     if m.measurement is not None:
         out = f"{run}_measured"
         lines.append(("Measure the sensors: CSV, UFF, plots, shapes", ["measure", run, *named, "--out", out]))
@@ -271,7 +271,7 @@ def commands_section(m: Material, sensors: Sequence[Sensor], asked_alpha: float 
     splat = "One splat file with the motion in it, for Blender and any splat viewer"
     lines.append((splat, ["export", run, "--format", "ply", "--out", f"{run}.ply"]))
     following = f"{program()} {m.result.next_command.removeprefix('tg4mm ')}"
-    texts = [("Next, as the run itself advises", following)]
+    texts = [("Next step, as the run suggests", following)]
     texts += [(what, f"{program()} {shlex.join(words)}") for what, words in lines]
     blender = Text(
         "In Blender, install the tg4mm extension and import the splat file with it: its panel in the sidebar has a "

@@ -144,7 +144,7 @@ def _caption(m: Material, rate: float) -> Markup:
     )
     words += f"{m.why_alpha} " if m.why_alpha else ""
     if m.view.clock == Clock.independent:
-        words += "This camera has a clock of its own, so the two need not be in step. "
+        words += "This camera has an independent clock, so the two may be out of step. "
     if m.view.truth is None:
         return words + "Look for edges that stay sharp while they move."
     return words + (

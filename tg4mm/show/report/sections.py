@@ -252,8 +252,8 @@ def _maps(m: Material) -> Block:
         one = map_picture(unsure, top, seen[0][2].opacity)
         panels.append(picture(one, "Uncertainty", "map of the uncertainty", photo=True))
         caption += (
-            " Uncertainty is one standard deviation of the displacement, estimated by the run, as the peak of a "
-            "sinusoid and on the scale of the amplitude: where it is as bright, the motion is unreliable."
+            " Uncertainty is one standard deviation of the displacement, as estimated by the run, as the peak of a "
+            "sinusoid, in the colours of the amplitude: where both are equally bright, the motion is unreliable."
         )
     unit, factor = unit_of(m.train)
     bars = colour_bar(top * factor, unit, "peak displacement"), phase_bar()

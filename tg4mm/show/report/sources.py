@@ -74,7 +74,7 @@ def choose_alpha(
     )
     known = [a for a in magnified_alphas(reading.run.dataset) if a <= alpha]
     if known:
-        return float(max(known)), f"{why}; of the magnifications with ground truth the nearest below that."
+        return float(max(known)), f"{why}; it is the largest α with ground truth up to that."
     return alpha, f"{why}."
 
 

@@ -201,7 +201,7 @@ def vibrations_table(m: Material) -> list[Block]:
     header = ["frequency (Hz)", "amplitude", "in pictures", "damping ratio", position, "band (Hz)"]
     caption = (
         "Vibrations that the run found, the strongest first: peak displacement where it is largest (1 % of the visible "
-        "moves further), ± one standard deviation. The band, given as --band, magnifies one alone."
+        "moves further), ± one standard deviation. The band, given as --band, magnifies that vibration alone."
     )
     return [Table(header, [_row(m, v) for v in m.result.vibrations], caption)]
 

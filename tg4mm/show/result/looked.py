@@ -100,13 +100,15 @@ def looked_notes(found: LookSummary, is_flat: bool = True) -> list[str]:
         if line.lost
     ]
     if found.conversion:
-        out.append(f"what happened between pictures: {found.conversion}")
+        out.append(f"motion between the original pictures: {found.conversion}")
     if found.light:
-        named = ", ".join(f"{tone.hz:.4g} Hz ({tone.amplitude:.2g} of it)" for tone in found.light)
+        named = ", ".join(f"{tone.hz:.4g} Hz ({100 * tone.amplitude:.2g} %)" for tone in found.light)
         out.append(f"faint vibrations at the frequencies of the light: it flickers at {named}")
     for swing in found.swings:
         whose = "light" if swing.kind == "light" else "picture"
-        out.append(f"motion of the scene from the camera's: the {whose} {swing_note(swing, found.size)}")
+        out.append(
+            f"motion of the scene from that of the camera: the {whose} {swing_note(swing, found.size)}"
+        )
     return out + [note for note in [row_note(found)] if note]
 
 
@@ -132,8 +134,8 @@ def cannot_tell(
     if reading.look is not None and reading.capture is not None:
         out += looked_notes(reading.look, not reading.capture.kind.sees_depth)
     out.append(
-        f"frequencies under {CLEAR_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are "
-        f"nearer than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
+        f"frequencies below {CLEAR_PERIODS / duration:.3g} Hz or from {motion.fps / 2:.4g} Hz on, and two that are "
+        f"closer than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
     )
     if "along_sight" in reading.uncertainty and vibrations:
         out.append(

@@ -65,11 +65,11 @@ def _requested(reading: ResultSources, band: Band) -> Vibration | None:
         amplitude=amplitude,
         position=position,
         pixels=reading.pixels(phasors, amplitude),
-        why_no_damping="nothing stands out in the band",
+        why_no_damping="no line was detected in the band",
         band=band,
         position_px=reading.pixel(position),
-        doubt=f"nothing stands out from {band[0]:g} to {band[1]:g} Hz, which was asked for; the record holds "
-        f"{periods:.2g} periods of it, and the ± a drift as large as the motion",
+        doubt=f"no line was detected in the given band, {band[0]:g} to {band[1]:g} Hz; the record holds "
+        f"{periods:.2g} periods of it, and the ± includes a drift as large as the motion",
     )
 
 

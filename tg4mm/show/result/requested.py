@@ -97,9 +97,9 @@ def too_far(run: Run, plan: Magnification) -> str | None:
     alpha = plan.alpha
     moved = "" if limits.pixels is None else f"the largest motion becomes {limits.pixels:.3g} px; "
     most = abs(1 + alpha) / limits.too_far - 1  # all limits are proportional to |1 + α|
-    within = "it does not hold as captured either"
+    within = "the motion as captured exceeds this, too"
     if most > 0:
-        within = f"α = {float(f'{most:.2g}'):g} is as far as it holds"
+        within = f"α = {float(f'{most:.2g}'):g} is the limit"
     return f"α = {alpha:g}: {moved}{'; '.join(_reasons(limits))}; {within}"
 
 
