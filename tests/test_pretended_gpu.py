@@ -272,9 +272,7 @@ def _stretches(shape: torch.Size) -> Tensor:
 
 
 def oblong(gaussians: Gaussians) -> Gaussians:
-    """The same with axes of different lengths: the picture then tells of every turn, so gradients by quaternions are
-    more than rounding.
-    """
+    """The same with unequal axes: the picture then shows every turn, so gradients by quaternions exceed rounding."""
     return replace(gaussians, scales=gaussians.scales * _stretches(gaussians.scales.shape).exp())
 
 

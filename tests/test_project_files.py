@@ -72,14 +72,15 @@ def test_a_release_gives_the_readme_whole_addresses(repo_root, tmp_path):
 ELSEWHERE = {"vqa.py", "test_video.py"}  # of another program
 
 
+def docstrings(source):
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    return [ast.get_docstring(node) or "" for node in ast.walk(ast.parse(source)) if isinstance(node, kinds)]
+
+
 def named_files(source):
     """Python files that comments and docstrings of a module name."""
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
-    texts = [token.string for token in tokens if token.type == tokenize.COMMENT]
-    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
-    texts += [
-        ast.get_docstring(node) or "" for node in ast.walk(ast.parse(source)) if isinstance(node, kinds)
-    ]
+    texts = [token.string for token in tokens if token.type == tokenize.COMMENT] + docstrings(source)
     return {name for text in texts for name in re.findall(r"(?<![\w./-])((?:[\w-]+/)*[\w-]+\.py)\b", text)}
 
 
@@ -90,3 +91,11 @@ def test_comments_name_files_that_exist(repo_root):
     named = {(str(file), name) for file in files for name in named_files(file.read_text("utf-8")) - ELSEWHERE}
     assert [one for one in named if not any(path.endswith(f"/{one[1]}") for path in there)] == []
     assert named_files('"""See gone.py."""\nx = 1  # as in a/b.py') == {"gone.py", "a/b.py"}
+
+
+def test_docstrings_are_statements(repo_root):
+    files = [
+        f for p in ("tg4mm", "dataset_gen", "addon", "benchmarks") for f in (repo_root / p).rglob("*.py")
+    ]
+    firsts = {(text.split() or [""])[0] for file in files for text in docstrings(file.read_text("utf-8"))}
+    assert firsts & {"What", "Whether", "Where", "How", "Which", "Of", "None", "["} == set()

@@ -49,9 +49,7 @@ def nuisance_of(scene, active):
 
 
 def seen(scene, turn, shift):
-    """[H, W, 3] of the dense twin over white, from a camera before which points are turned by a rotation vector about
-    its axes and shifted along them.
-    """
+    """[H, W, 3] of the dense twin over white, its points turned about the camera's axes and shifted."""
     moved = torch.eye(4, dtype=torch.float64)
     moved[:3, :3] = torch.from_numpy(Rotation.from_rotvec(turn).as_matrix())
     moved[:3, 3] = torch.from_numpy(shift)

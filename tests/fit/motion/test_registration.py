@@ -90,10 +90,7 @@ def test_turns_are_found_beside_something_that_moves_by_itself(moves):
 
 @pytest.fixture(scope="module")
 def moving():
-    """A post and a ball sway at 5 Hz by a quarter of a pixel; two periods in twelve timesteps.
-
-    Blurred, so that pictures of this size hold what there is to see.
-    """
+    """A post and a ball, blurred, sway at 5 Hz by a quarter of a pixel; two periods in twelve timesteps."""
     parts = _parts(1)
     sharp = _gaussians(parts, 1)
     return replace(sharp, scales=BLUR * sharp.scales), _motion(parts, (HZ,), 0.012, FPS, T)

@@ -144,9 +144,7 @@ def test_a_run_knows_how_far_off_it_is(seen, tmp_path):
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """A run of one camera, the true motion, and the camera. The post sways across its line of sight, the ball moves
-    mostly along it.
-    """
+    """A run of one camera, the true motion, the camera: the post sways across its sight, the ball mostly along it."""
     root = tmp_path_factory.mktemp("one")
     run, motion = exact_run(root, n_views=1, n_timesteps=5, size=48, freqs=(6.0,), amplitude=0.01)
     capture = load_capture(run.dataset)
