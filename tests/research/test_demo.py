@@ -65,7 +65,7 @@ def test_the_demo_makes_everything_and_a_second_call_makes_nothing(made, monkeyp
 
 def test_another_size_or_a_foreign_folder_is_refused(made, tmp_path):
     out = made[0]
-    with pytest.raises(Tg4mmError, match=r"was made with size = 32, asked is 48"):
+    with pytest.raises(Tg4mmError, match=r"was made with size = 32, not 48"):
         demo.run_demo(out, 48, say=Said())
     with pytest.raises(Tg4mmError, match="is a file"):
         demo.run_demo(out / "splat.ply", 32, say=Said())

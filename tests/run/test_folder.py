@@ -145,9 +145,9 @@ class TestResults:
 
 class TestCreate:
     def test_other_preset_or_dataset_is_refused(self, run, tmp_path):
-        with refused('preset = "modal", asked is "paper"'):
+        with refused('preset = "modal", not "paper"'):
             Run.create(run.path, run.dataset, "paper", SETTINGS)
-        with refused(f'dataset = "{tmp_path}/data", asked is "{str(tmp_path)[:60]}'):
+        with refused(f'dataset = "{tmp_path}/data", not "{str(tmp_path)[:60]}'):
             Run.create(run.path, tmp_path / "other", "modal", SETTINGS)
 
 

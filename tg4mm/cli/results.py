@@ -101,14 +101,14 @@ def render(options: RenderOptions) -> None:
     given = _check_render(options)
     from tg4mm.core.splatfile.model import parsed_frequencies
     from tg4mm.fit.device import check_device
-    from tg4mm.run.folder import LOW_PASS_PX2, SplatRun, cameras_asked, open_run
+    from tg4mm.run.folder import LOW_PASS_PX2, SplatRun, open_run, refuse_cameras
     from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_path, render_sequence
 
     o, device, video = options, options.device.value, options.video
     check_device(device)
     opened = open_run(o.run, parsed_frequencies(o.frequencies or ""), o.fps)
     if o.cameras is None:
-        cameras_asked(opened, given[0] if given else None)
+        refuse_cameras(opened, given[0] if given else None)
     low_pass = opened.low_pass_px2 if isinstance(opened, SplatRun) else LOW_PASS_PX2
     phase = {"suppressed": o.suppressed, "amplitude_percentile": o.amplitude_percentile}
     plan = magnified(opened, o.alpha, options, **phase)

@@ -99,13 +99,13 @@ class WorkFolder:
 
     def claim(
         self,
-        asked: Mapping[str, Any],
+        request: Mapping[str, Any],
         record: Mapping[str, Any] | None = None,
-        asked_of: Callable[[dict[str, Any]], Mapping[str, Any]] = dict,
+        request_of: Callable[[dict[str, Any]], Mapping[str, Any]] = dict,
     ) -> None:
         """Make the folder for a request (JSON values), or go on in one that was made for the same.
 
-        record: what is written, if more than `asked`. asked_of: from what a record holds to what was asked then.
+        record: what is written, if more than `request`. request_of: from a record to its request.
         Raises where the folder holds something else, naming the first value that differs, and where it cannot be
         written.
         """
@@ -114,14 +114,14 @@ class WorkFolder:
             made = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
             try:
                 self.path.mkdir(parents=True, exist_ok=True)
-                write_json(self._file, dict(asked if record is None else record))
+                write_json(self._file, dict(request if record is None else record))
             except OSError as error:
                 for folder in made:
                     with suppress(OSError):
                         folder.rmdir()
                 raise self.error(f"{self.path} cannot be written: {system_says(error)}") from error
             return
-        self._check_same(flat(asked_of(found)), flat(json.loads(json.dumps(asked))))
+        self._check_same(flat(request_of(found)), flat(json.loads(json.dumps(request))))
         remove_leftovers(self.path)
 
     @property
@@ -136,7 +136,7 @@ class WorkFolder:
             if first in self.others:
                 raise self.error(f"{self.path} was made {self.others[first]}: give another folder")
             raise self.error(
-                f"{self.path} was made with {key} = {_shown(old, key)}, asked is {_shown(new, key)}: "
+                f"{self.path} was made with {key} = {_shown(old, key)}, not {_shown(new, key)}: "
                 "give the same value, or another folder"
             )
 
@@ -198,16 +198,16 @@ def run_steps(folder: WorkFolder, record: Mapping[str, Any], steps: Sequence[Fol
 
     for number, step in enumerate(steps, 1):
         label = f"[{number}/{len(steps)}] {step.title}"
-        asked = json.loads(json.dumps(step.request() if callable(step.request) else step.request))
+        request = json.loads(json.dumps(step.request() if callable(step.request) else step.request))
         entry = done.get(step.name)
-        if entry and entry.get("asked") == asked and "seconds" in entry and step.result.exists():
+        if entry and entry.get("asked") == request and "seconds" in entry and step.result.exists():
             say(f"{label}: already done")
             continue
-        if (entry is None or entry.get("asked") != asked) and not step.in_place:
+        if (entry is None or entry.get("asked") != request) and not step.in_place:
             _set_aside(step.folder or step.result, say)
         for name in _dependents(step.name, steps):
             done.pop(name, None)
-        done[step.name] = {"asked": asked}  # begun: after a kill the same request goes on
+        done[step.name] = {"asked": request}  # begun: after a kill the same request goes on
         write()
         say(f"{label} …")
         start = time.monotonic()

@@ -77,9 +77,9 @@ class Run:
             plain = to_json(dict(settings), "settings")
         except TypeError as error:
             raise RunError(f"a run cannot store {error}") from None
-        asked = {"dataset": str(dataset), "preset": preset, **plain}
+        request = {"dataset": str(dataset), "preset": preset, **plain}
         config = new_config(path, dataset, preset, plain)
-        work_folder(path).claim(asked, config, lambda _: request_of(path, read_config(path)))
+        work_folder(path).claim(request, config, lambda _: request_of(path, read_config(path)))
         run = cls.open(path)
         run._drop_finished()
         return run
@@ -438,8 +438,8 @@ def open_run(path: Path, freqs_hz: Sequence[float] = (), fps: float = 30.0) -> R
     return Run.open(path)
 
 
-def cameras_asked(run: Run, given: str | None) -> None:
+def refuse_cameras(run: Run, given: str | None) -> None:
     """Raise RunError if a splat file should have cameras of a dataset; `given`: the option for them, if any."""
     if isinstance(run, SplatRun):
-        asked = "" if given is None else f"{given}: "
-        raise RunError(f"{asked}{run.path} is a splat file, which has no cameras: give --cameras FILE")
+        prefix = "" if given is None else f"{given}: "
+        raise RunError(f"{prefix}{run.path} is a splat file, which has no cameras: give --cameras FILE")

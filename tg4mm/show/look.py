@@ -182,12 +182,12 @@ class LookText:
     def commands(self) -> list[tuple[str, str]]:
         """Return next commands and their effects."""
         name = shlex.quote(self.source.stem)
-        asked = f" --fps {self.fps:g}" if self.fps is not None else ""
-        asked += f" --readout {1e3 * self.found.rows_s:g}" if self.found.rows_s else ""
-        asked += f" {OFF}" if self.keep_duplicates else ""
-        asked += f" --from {self.window.start_s:g}" if self.window.start_s else ""
-        asked += f" --until {self.window.stop_s:g}" if math.isfinite(self.window.stop_s) else ""
-        asked += f" --regions {argument(self.drawn_file)}" if self.drawn_file is not None else ""
+        options = f" --fps {self.fps:g}" if self.fps is not None else ""
+        options += f" --readout {1e3 * self.found.rows_s:g}" if self.found.rows_s else ""
+        options += f" {OFF}" if self.keep_duplicates else ""
+        options += f" --from {self.window.start_s:g}" if self.window.start_s else ""
+        options += f" --until {self.window.stop_s:g}" if math.isfinite(self.window.stop_s) else ""
+        options += f" --regions {argument(self.drawn_file)}" if self.drawn_file is not None else ""
         if not self.found.vibrations:
             return [
                 (
@@ -197,7 +197,7 @@ class LookText:
             ]
         return [
             (
-                f"tg4mm process {argument(self.source)} --kind flat{asked} --out {name}-out",
+                f"tg4mm process {argument(self.source)} --kind flat{options} --out {name}-out",
                 "numbers of each part, a magnified video, pages",
             )
         ]

@@ -361,10 +361,10 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
     say(f"{video}: {1 + alpha:g} times the motion from {low:g} to {high:g} Hz")
 
 
-def _remove_others(folder: Path, asked: Mapping[str, Any]) -> None:
+def _remove_others(folder: Path, request: Mapping[str, Any]) -> None:
     """Remove another request's pictures from the magnified video's folder."""
     record = folder / RENDER_RECORD
-    if record.exists() and read_json(record) != asked:
+    if record.exists() and read_json(record) != request:
         shutil.rmtree(folder)
         folder.mkdir()
 

@@ -111,7 +111,7 @@ def test_a_stopped_one_goes_on_to_the_same_dataset(dataset, photographs, tmp_pat
 
 def test_another_request_in_the_same_folder_is_refused(dataset, photographs, tmp_path):
     opencv, other = SfmConfig(camera_model="OPENCV"), tmp_path / "other"
-    said = 'was made with camera_model = "SIMPLE_RADIAL", asked is "OPENCV"'
+    said = 'was made with camera_model = "SIMPLE_RADIAL", not "OPENCV"'
     refused(lambda: reconstruct(photographs, dataset, opencv), said)
     shutil.copytree(photographs, other)
     refused(lambda: reconstruct(other, dataset), "was made of other pictures, or they have changed")

@@ -52,7 +52,7 @@ def test_resume_keeps_complete_pictures_and_finishes_the_rest(run, cameras, tmp_
 
 def test_another_band_other_cameras_and_another_model_are_refused(run, cameras, tmp_path):
     out = render_sequence(run, cameras, RenderRequest(), tmp_path / "out", [0], video=False)
-    with pytest.raises(RunError, match=r"band_hz = null, asked is \[1.0, 6.0\]"):
+    with pytest.raises(RunError, match=r"band_hz = null, not \[1.0, 6.0\]"):
         render_sequence(run, cameras, RenderRequest(Magnification.of(0.0, (1.0, 6.0))), out, [0], video=False)
     with pytest.raises(RunError, match="other cameras"):
         render_sequence(run, cameras[:1], RenderRequest(), out, [0], video=False)

@@ -101,7 +101,7 @@ class Work:
 
 def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:
     """OUT/sfm/, made or found again. Raises CaptureError where OUT holds other things, or another request's."""
-    asked = json.loads(json.dumps({"pictures": files_of(sources), "settings": settings}))
+    request = json.loads(json.dumps({"pictures": files_of(sources), "settings": settings}))
     work = WorkFolder(
         out / "sfm",
         NAME,
@@ -119,17 +119,17 @@ def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:
                 f"{out}: {what}; expected a new or empty folder, or one that tg4mm sfm has begun"
             )
     work.claim(
-        {"pictures": asked["pictures"], **asked["settings"]},
-        asked,
+        {"pictures": request["pictures"], **request["settings"]},
+        request,
         lambda found: {"pictures": found.get("pictures"), **_dict(found.get("settings"))},
     )
     remove_leftovers(out)
-    return Work(out, work, asked["settings"], is_new, made)
+    return Work(out, work, request["settings"], is_new, made)
 
 
-def _given(asked: Any) -> dict[str, Any]:
+def _given(request: Any) -> dict[str, Any]:
     """Drop values that are None, as those unknown to an earlier version."""
-    return {key: value for key, value in _dict(asked).items() if value is not None}
+    return {key: value for key, value in _dict(request).items() if value is not None}
 
 
 def _dict(value: Any) -> dict[str, Any]:

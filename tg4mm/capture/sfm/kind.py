@@ -39,16 +39,16 @@ def possible_kinds(sources: Sources) -> tuple[Kind, ...]:
     return tuple(sorted((k for k in Kind if layout in k.found_in), key=lambda k: k.still))
 
 
-def check_kind(sources: Sources, asked: str | None) -> None:
+def check_kind(sources: Sources, requested: str | None) -> None:
     """Raise Tg4mmError where the kind asked for is none, or not one that these sources can be."""
-    if asked is None:
+    if requested is None:
         return
-    if asked not in KINDS:
-        raise Tg4mmError(f"--kind is {asked}, expected {', '.join(KINDS)}")
+    if requested not in KINDS:
+        raise Tg4mmError(f"--kind is {requested}, expected {', '.join(KINDS)}")
     possible = possible_kinds(sources)
-    if asked not in possible:
+    if requested not in possible:
         raise CaptureError(
-            f"--kind is {asked}, but {sources.path} holds {described(sources)}, "
+            f"--kind is {requested}, but {sources.path} holds {described(sources)}, "
             f"which can be {' or '.join(possible)}"
         )
 
@@ -62,10 +62,10 @@ def described(sources: Sources) -> str:
     return f"{cameras}, and a sweep" if sources.sweep is not None else cameras
 
 
-def kind_of(sources: Sources, surveys: Sequence[Survey], asked: str | None) -> tuple[Kind, str]:
+def kind_of(sources: Sources, surveys: Sequence[Survey], requested: str | None) -> tuple[Kind, str]:
     """The kind of these sources and the reason for it, a clause; surveys are those of `sources.clips`."""
-    if asked is not None:
-        return Kind(asked), "as --kind says"
+    if requested is not None:
+        return Kind(requested), "as --kind says"
     possible = possible_kinds(sources)
     if len(surveys) > 1:
         in_turn = _one_after_another(surveys)

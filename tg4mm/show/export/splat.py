@@ -220,8 +220,10 @@ def frames_of(
         if not 0 <= t < n_timesteps:
             raise Tg4mmError(f"timestep {t} is outside 0 … {n_timesteps - 1}")
     scale, smoothing = unit_scale_of(run), smoothing_of(run) if low_pass else None
-    asked = {**record(run, request, (), "splats"), "low_pass": low_pass}
-    return Frames(wanted, fps, lambda t: to_splat(pose(float(t)), None, scale, smoothing=smoothing), asked)
+    request_record = {**record(run, request, (), "splats"), "low_pass": low_pass}
+    return Frames(
+        wanted, fps, lambda t: to_splat(pose(float(t)), None, scale, smoothing=smoothing), request_record
+    )
 
 
 def write_frames(out: Path, suffix: str, write: Callable[[Path, SplatFile], None], frames: Frames) -> None:
