@@ -77,7 +77,7 @@ def test_an_orbit_has_a_picture_a_camera_while_time_runs(run, dataset, tmp_path)
 
 def test_on_the_capture_s_path_picture_t_is_from_pose_t(run, dataset, tmp_path):
     capture = load_capture(dataset)
-    said = r"timestep 0 has pictures from [0-9]+ poses: --path capture is of one"
+    said = r"timestep 0 has pictures from [0-9]+ poses: --path capture needs one"
     with pytest.raises(CaptureError, match=said):
         capture_path(capture)
     one = capture.selected(np.array([int(np.flatnonzero(capture.timesteps == t)[t % 2]) for t in range(4)]))
