@@ -3,13 +3,15 @@
 import importlib.util
 import os
 import signal
+import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import combinations, groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -55,6 +57,24 @@ def colmap(what: str) -> ModuleType:
     if threading.current_thread() is threading.main_thread():  # its own handler prints a trace of C++
         signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
     return pycolmap
+
+
+@contextmanager
+def silenced() -> Iterator[TextIO]:
+    """Silence a call that resets pycolmap's log level: its lines on the process's stderr are dropped.
+
+    Yields the stream for the program's own messages meanwhile.
+    """
+    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        with os.fdopen(kept, "w", buffering=1, closefd=False) as stream:
+            yield stream if sys.stderr is sys.__stderr__ else sys.stderr
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)
+        colmap("tg4mm sfm")
 
 
 def extract(

@@ -16,7 +16,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from tg4mm.capture.sfm.engine import Pair, colmap, extract, left_pairs, likely_pairs, match, opened
+from tg4mm.capture.sfm.engine import Pair, colmap, extract, left_pairs, likely_pairs, match, opened, silenced
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.progress import progress
 from tg4mm.core.untrusted import read_formed, write_sealed
@@ -198,7 +198,7 @@ def adjust(model: Any, threads: int) -> None:
     options.refine_extra_params = options.print_summary = False
     solver = options.ceres.solver_options
     solver.num_threads, solver.max_num_iterations, solver.function_tolerance = threads, STEPS, TOLERANCE
-    with progress("adjusting", 1, "run", brief=True) as update:
+    with silenced() as stream, progress("adjusting", 1, "run", brief=True, stream=stream) as update:
         # an adjuster's own `solve` would stop all other threads of Python
         c.bundle_adjustment(model, options)
         model.update_point_3d_errors()
