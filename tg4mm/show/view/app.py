@@ -55,7 +55,9 @@ class App:
                     _BESIDE, hint="The scene as captured beside the magnified one."
                 )
                 beside.on_click(lambda _: self._put_beside())
-            dark = self.server.gui.add_checkbox("Dark page", False, hint="The scene stays over white.")
+            dark = self.server.gui.add_checkbox(
+                "Dark page", False, hint="A dark panel; the scene stays on white."
+            )
         dark.on_update(lambda _: set_theme(self.server, bool(dark.value)))
         SavePanel(self.server, session, folder, canvas_of, lambda: self._pixel.shown)
         self.server.gui.add_html(block(key_words(_KEYS if session.scene.duration > 0 else _KEYS[-3:])))

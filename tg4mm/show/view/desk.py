@@ -114,9 +114,9 @@ class Desk:
                 cameras.on_update(lambda _: self._turn_to(cameras.value))
             tools = gui.add_button_group("Tool", tuple(TOOLS))
             tools.on_click(lambda _: self._change(lambda d: d.taking(str(tools.value))))
-            self._name: Any = gui.add_text("Name", "", hint="Of the next region; empty: numbered.")
+            self._name: Any = gui.add_text("Name", "", hint="Name of the next region; if empty, a number.")
             self._wide: Any = gui.add_number(
-                "Length, width (mm)", 0.0, min=0.0, hint="Of the next length or rectangle."
+                "Length, width (mm)", 0.0, min=0.0, hint="Size of the next length or rectangle."
             )
             self._high: Any = gui.add_number("Height (mm)", 0.0, min=0.0, hint="Of the next rectangle.")
             finish = gui.add_button_group("Shape", ("Finish", "Undo"))

@@ -147,14 +147,14 @@ class Panel:
             "Time (s)", min=0.0, max=end, step=end / 1000, initial_value=0.0, hint=hint
         )
         self._time.on_update(lambda event: self._seek(event))
-        hint = "Seconds of the capture for each second: 1 is real time."
+        hint = "Seconds of the capture per second: 1 is real time."
         speed = self._gui.add_slider(
             "Speed (× real)", min=0.01, max=2.0, step=0.01, initial_value=clock.speed, hint=hint
         )
         speed.on_update(
             lambda _: self._now_or(lambda c, now: c.changed(now, speed=max(float(speed.value), 0.01)))
         )
-        loop = self._gui.add_checkbox("Loop", clock.loop, hint="From the end to the start.")
+        loop = self._gui.add_checkbox("Loop", clock.loop, hint="Restart at the end.")
         loop.on_update(lambda _: session.set_clock(lambda c, now: c.changed(now, loop=bool(loop.value))))
         self._speed_words = self._gui.add_html("")
 
@@ -225,7 +225,7 @@ class CameraPanel:
         self._cameras = session.scene.cameras
         self._names = tuple(camera.name for camera in self._cameras)
         with folder:
-            hint = "Of the capture. The page jumps there."
+            hint = "Jump to a camera of the capture."
             self._list: Any = server.gui.add_dropdown("Camera", self._names, hint=hint)
             steps = server.gui.add_button_group("Step", (_BEFORE, _AGAIN, _NEXT))
         self._list.on_update(lambda event: self.jump(event.client, self._chosen()))

@@ -43,9 +43,7 @@ class PixelPanel:
         names = main_peaks(session.scene.frequencies, session.scene.peaks(), session.scene.duration)
         self._named = list(zip(names.tolist(), peak_labels(names), strict=True))
         self._last: tuple[np.ndarray, np.ndarray] | None = None  # place [3], weights [N]
-        hint = (
-            "The samples that the pictures give, with deviations and a noise floor. Reads all pictures once."
-        )
+        hint = "Measure in the pictures, with deviations and a noise floor. Reads all pictures once."
         with server.gui.add_folder("Pixel"):
             self._from_pictures = server.gui.add_checkbox("From pictures", False, hint=hint)
             self._from_pictures.visible = bool(len(session.scene.frequencies))
