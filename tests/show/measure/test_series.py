@@ -29,8 +29,8 @@ def test_what_the_scene_at_rest_has_wrong_is_in_the_deviation():
     normals = np.stack([np.diag(rng.uniform(1, 2, 2 * count)) for _ in range(2)])[:, None]
     false = 0.2 * normals[:, 0]
     true = np.stack([np.cos(np.arange(60) * (0.3 + 0.2 * k)) for k in range(count)], 1)
-    sides = np.einsum("hij,fj->hfi", (normals[:, 0] - false)[:, :, :count], true)
-    equations = Equations(normals, normals, sides, false)
+    right_hand_sides = np.einsum("hij,fj->hfi", (normals[:, 0] - false)[:, :, :count], true)
+    equations = Equations(normals, normals, right_hand_sides, false)
     found = series_of(equations, np.arange(60) / 30, np.eye(3), ("x", "y", "z"), 1.0)
     assert found.displacement == pytest.approx(0.8 * (true - true.mean(0)), abs=1e-9)
     assert found.false_share == pytest.approx(0.2)

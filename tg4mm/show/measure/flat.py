@@ -175,8 +175,8 @@ def _measured(
     change = np.zeros((3, 3))  # pixels of a unit of each unknown
     change[:2, :2], change[2, 2] = along, scale
     normals, noise = (change @ own @ change.T for own in (motion.normals, motion.noise))
-    sides = np.einsum("ij,hjk,hfk->hfi", change, motion.normals, motion.shift)
-    equations = Equations(normals[:, None], noise[:, None], sides, np.zeros((2, 3, 3)))
+    right_hand_sides = np.einsum("ij,hjk,hfk->hfi", change, motion.normals, motion.shift)
+    equations = Equations(normals[:, None], noise[:, None], right_hand_sides, np.zeros((2, 3, 3)))
     clock = scene.clocks[0]
     labels = OF_ONE_CAMERA[:2]
     times = clock.times_s + motion.delay_s

@@ -31,7 +31,7 @@ _LOG = logging.getLogger("tg4mm")
 
 
 @dataclass(frozen=True)
-class Sides:
+class RightHandSides:
     """The right-hand sides of F frames on one clock, for both halves of the data; 0 for Gaussians not in `rows`."""
 
     rows: np.ndarray  # [n] int32 indices of Gaussians, ascending
@@ -39,20 +39,20 @@ class Sides:
     steps: np.ndarray  # [2, n, 6] float32: the size of a step of `values`
 
     @staticmethod
-    def of(sides: np.ndarray) -> "Sides":
+    def of(right_hand_sides: np.ndarray) -> "RightHandSides":
         """Pack an array [2, F, N, 6]."""
-        largest = np.zeros((len(sides), *sides.shape[2:]), np.float32)
-        for half, own in enumerate(sides):
+        largest = np.zeros((len(right_hand_sides), *right_hand_sides.shape[2:]), np.float32)
+        for half, own in enumerate(right_hand_sides):
             for frame in own:
                 np.maximum(largest[half], np.abs(frame), out=largest[half])
         rows = np.flatnonzero(largest.any((0, 2))).astype(np.int32)
         steps = largest[:, rows] / _STEPS
-        values = np.empty((*sides.shape[:2], len(rows), DOF), np.int8)
-        for half, own in enumerate(sides):
+        values = np.empty((*right_hand_sides.shape[:2], len(rows), DOF), np.int8)
+        for half, own in enumerate(right_hand_sides):
             inverse = np.divide(1, steps[half], out=np.zeros_like(steps[half]), where=steps[half] > _TINY)
             for f, frame in enumerate(own):
                 values[half, f] = np.rint(frame[rows] * inverse)
-        return Sides(rows, values, steps)
+        return RightHandSides(rows, values, steps)
 
     def __len__(self) -> int:
         return self.values.shape[1]
@@ -73,7 +73,9 @@ class Sides:
         return {f"rows_{name}": self.rows, f"values_{name}": self.values, f"steps_{name}": self.steps}
 
     @staticmethod
-    def restored(arrays: Mapping[str, np.ndarray], name: str, n_frames: int, n_gaussians: int) -> "Sides":
+    def restored(
+        arrays: Mapping[str, np.ndarray], name: str, n_frames: int, n_gaussians: int
+    ) -> "RightHandSides":
         """Restore from `arrays` for so many frames and Gaussians. Raises ValueError for anything else."""
         rows = arrays.get(f"rows_{name}", np.zeros(0))
         of_rows = (HALVES, len(np.atleast_1d(rows)), DOF)
@@ -85,7 +87,7 @@ class Sides:
         check_arrays(arrays, wanted)
         if len(rows) and (rows[0] < 0 or rows[-1] >= n_gaussians or (np.diff(rows) <= 0).any()):
             raise ValueError(f"rows_{name} does not number {n_gaussians} Gaussians")
-        return Sides(*(arrays[key] for key in wanted))
+        return RightHandSides(*(arrays[key] for key in wanted))
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], wanted: Wanted) -> None:
@@ -97,7 +99,7 @@ def check_arrays(arrays: Mapping[str, np.ndarray], wanted: Wanted) -> None:
             raise ValueError(f"{name} is {shown}, expected {np.dtype(kind)} {shape}")
 
 
-Kept = tuple[dict[str, np.ndarray], list[Sides]]
+Kept = tuple[dict[str, np.ndarray], list[RightHandSides]]
 
 
 @dataclass(frozen=True)
@@ -136,12 +138,14 @@ class KeptPass:
         try:
             check_form(header, {"notes": [str]})
             check_arrays(arrays, wanted)
-            sides = [Sides.restored(arrays, name, n, n_gaussians) for name, n in n_frames.items()]
+            right_hand_sides = [
+                RightHandSides.restored(arrays, name, n, n_gaussians) for name, n in n_frames.items()
+            ]
         except ValueError as error:
             _LOG.warning("%s: %s; the pictures are read again", self.run.part_file(PART), error)
             return None
         self.notes[:] = header["notes"]
-        return arrays, sides
+        return arrays, right_hand_sides
 
     def save(self, arrays: Mapping[str, np.ndarray], notes: Sequence[str]) -> None:
         """Write the arrays if requested and at most 1 GiB; a folder that cannot be written is not an error."""

@@ -200,7 +200,7 @@ def _series(
     bodies: Sequence,
     step: Callable[[], None],
 ) -> list[Series]:
-    assert clock.sides is not None
+    assert clock.right_hand_sides is not None
     equations = equations_of([body for body, _ in bodies], scene, clock, views, step)
     out = []
     for e, (body, labels) in zip(equations, bodies, strict=True):

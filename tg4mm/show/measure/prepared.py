@@ -31,7 +31,7 @@ from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
 from tg4mm.run import Run
 from tg4mm.run.checks import check_readout, check_times
 from tg4mm.run.stages import look_of
-from tg4mm.show.measure.kept import HALVES, KeptPass, Sides, Wanted
+from tg4mm.show.measure.kept import HALVES, KeptPass, RightHandSides, Wanted
 from tg4mm.show.measure.residuals import (
     MeasuredView,
     halves_of,
@@ -161,23 +161,23 @@ def _moving(scene: Prepared, kept: KeptPass | None) -> Prepared:
     }
     found = None if kept is None else kept.load(wanted, {"0": count}, len(gaussians))
     if found is None:
-        arrays, sides = _moving_pass(scene, series)
+        arrays, right_hand_sides = _moving_pass(scene, series)
         if kept is not None:
-            kept.save(arrays | sides.arrays("0"), ())
+            kept.save(arrays | right_hand_sides.arrays("0"), ())
     else:
-        arrays, (sides,) = found
+        arrays, (right_hand_sides,) = found
     frames = [replace(f, viewmat=v) for f, v in zip(observations.frames, arrays["viewmats"], strict=True)]
     return replace(
         scene,
         observations=replace(observations, frames=frames),
         views=FrameViews(gaussians, frames, observations.size, arrays["level"]),
-        clocks=(SharedClock("", tuple(range(count)), times, sides, series),),
+        clocks=(SharedClock("", tuple(range(count)), times, right_hand_sides, series),),
         seen=arrays["seen"].astype(np.float64),
         slow=_slow_functions(times, scene.modal.freqs_hz),
     )
 
 
-def _moving_pass(scene: Prepared, series: np.ndarray) -> tuple[dict[str, np.ndarray], Sides]:
+def _moving_pass(scene: Prepared, series: np.ndarray) -> tuple[dict[str, np.ndarray], RightHandSides]:
     """Read every frame: corrected poses, levels, blending weights, and the right-hand sides.
 
     All pixels of a frame have the same weight: the residual holds the motion that the run's modes do not show.
@@ -185,7 +185,7 @@ def _moving_pass(scene: Prepared, series: np.ndarray) -> tuple[dict[str, np.ndar
     gaussians, observations, fields = scene.gaussians, scene.observations, scene.modal.fields
     frames, _, _ = corrected_poses(gaussians, observations, 0)
     n, count, (width, height) = len(gaussians), len(frames), observations.size
-    sides = zeros_on_disk((HALVES, count, n, DOF), scene.folder)
+    right_hand_sides = zeros_on_disk((HALVES, count, n, DOF), scene.folder)
     out = FrameViews(gaussians, frames, observations.size, np.ones(count))
     seen = np.zeros(n)
     with progress("pictures", count, "frames") as update:
@@ -199,11 +199,11 @@ def _moving_pass(scene: Prepared, series: np.ndarray) -> tuple[dict[str, np.ndar
             cleaned = without(first.nuisance, first.mean, left[None])
             out.level[k] = 1 / max(float((cleaned**2).mean()), 1e-12)
             for half, model in out.of(k, view, out.level[k]).models():
-                model.adjoint(left[None], sides[half, k : k + 1])
+                model.adjoint(left[None], right_hand_sides[half, k : k + 1])
             seen += blend_sum(view, np.ones((height, width, 3), np.float32))[:, 0]
             update(k + 1)
     viewmats = np.stack([f.viewmat for f in frames], dtype=np.float64)
-    return {"viewmats": viewmats, "level": out.level, "seen": seen}, Sides.of(sides)
+    return {"viewmats": viewmats, "level": out.level, "seen": seen}, RightHandSides.of(right_hand_sides)
 
 
 def _slow_functions(times_s: np.ndarray, freqs_hz: np.ndarray) -> np.ndarray:
@@ -236,7 +236,7 @@ def _fixed(scene: Prepared, kept: KeptPass | None) -> Prepared:
     n_frames = {str(c): len(clock.times_s) for c, clock in enumerate(clocks)}
     found = None if kept is None else kept.load(wanted, n_frames, len(scene.gaussians))
     if kept is not None and found is not None:
-        arrays, sides = found
+        arrays, right_hand_sides = found
         views = _views(scene, frames, unpacked_mean(arrays["mean"]), arrays["active"].astype(bool))
         weights = arrays["weights"].astype(np.float32) * arrays["unit"][:, None, None]
         views = [replace(v, weights=w) for v, w in zip(views, weights, strict=True)]
@@ -244,10 +244,12 @@ def _fixed(scene: Prepared, kept: KeptPass | None) -> Prepared:
     else:
         observations, means, active, notes = _looked(scene)
         means = unpacked_mean(packed_mean(means))  # as a later call will have it
-        views, sides = _pass(scene, observations, _views(scene, observations.frames, means, active), clocks)
+        views, right_hand_sides = _pass(
+            scene, observations, _views(scene, observations.frames, means, active), clocks
+        )
         if kept is not None:
-            _keep(kept, views, sides, notes)
-    clocks = tuple(replace(c, sides=s) for c, s in zip(clocks, sides, strict=True))
+            _keep(kept, views, right_hand_sides, notes)
+    clocks = tuple(replace(c, right_hand_sides=s) for c, s in zip(clocks, right_hand_sides, strict=True))
     seen = seen_weights([v.view for v in views], len(scene.gaussians))
     return replace(scene, views=views, clocks=clocks, seen=seen, notes=tuple(notes))
 
@@ -302,9 +304,9 @@ def _clocks(scene: Prepared) -> tuple[SharedClock, ...]:
 
 def _pass(
     scene: Prepared, observations: Observations, views: Sequence[MeasuredView], clocks: Sequence[SharedClock]
-) -> tuple[list[MeasuredView], list[Sides]]:
+) -> tuple[list[MeasuredView], list[RightHandSides]]:
     """Read every picture: return the views with weights, and the right-hand sides of every clock."""
-    out, sides = list(views), []
+    out, right_hand_sides = list(views), []
     counts = [len(v.frames.rows) for v in views]
     total, done = sum(len(sampled(n)) for n in counts) + sum(counts), 0
     with progress("pictures", total, "frames") as update:
@@ -320,12 +322,15 @@ def _pass(
                 shown = shown_fields(views[v].view, scene.modal.fields)
                 out[v] = weighed(observations, views[v], shown, clock.series, step)
                 pull_back(observations, out[v], shown, clock.series, own, step)
-            sides.append(Sides.of(own))
-    return out, sides
+            right_hand_sides.append(RightHandSides.of(own))
+    return out, right_hand_sides
 
 
 def _keep(
-    kept: KeptPass, views: Sequence[MeasuredView], sides: Sequence[Sides], notes: Sequence[str]
+    kept: KeptPass,
+    views: Sequence[MeasuredView],
+    right_hand_sides: Sequence[RightHandSides],
+    notes: Sequence[str],
 ) -> None:
     weights, units = zip(*(packed_weights(v.weights) for v in views), strict=True)
     arrays = {
@@ -334,7 +339,7 @@ def _keep(
         "weights": np.stack(weights),
         "unit": np.array(units),
     }
-    for c, own in enumerate(sides):
+    for c, own in enumerate(right_hand_sides):
         arrays |= own.arrays(str(c))
     kept.save(arrays, notes)
 

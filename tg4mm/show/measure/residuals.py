@@ -35,8 +35,8 @@ def by_band(frames: PosedFrames, height: int, series: np.ndarray) -> np.ndarray:
     return np.stack([later(frames.times_s, series, band.delay_s) for band in bands])
 
 
-def to_middle(frames: PosedFrames, height: int, rows: np.ndarray, sides: np.ndarray) -> None:
-    """Interpolate `sides` [2, F, N, 6], each Gaussian's at the time of its picture row, to the frames' times in place.
+def to_middle(frames: PosedFrames, height: int, rows: np.ndarray, right_hand_sides: np.ndarray) -> None:
+    """Interpolate [2, F, N, 6], each Gaussian's at the time of its picture row, to the frames' times, in place.
 
     rows [N]: pixels from the upper edge.
     """
@@ -46,7 +46,7 @@ def to_middle(frames: PosedFrames, height: int, rows: np.ndarray, sides: np.ndar
         some = np.flatnonzero((rows >= first) & (rows < last))
         if not len(some):
             continue
-        for half in sides:
+        for half in right_hand_sides:
             own = half[:, some]
             moved = later(frames.times_s, own.reshape(len(own), -1).T, -band.delay_s).T
             half[:, some] = moved.reshape(own.shape)

@@ -63,14 +63,14 @@ class Equations:
 
     normals: np.ndarray  # [2, F or 1, K, K] A
     noise: np.ndarray  # [2, F or 1, K, K] B
-    sides: np.ndarray  # [2, F, K]
+    right_hand_sides: np.ndarray  # [2, F, K]
     false: np.ndarray  # [2, K, K] F; 0 of a moving camera, which has no mean picture
 
     def along(self, axes: np.ndarray) -> "Equations":
         """Return the equations for other axes [3, 3], whose rows are unit vectors in the old axes."""
         turn = np.kron(np.eye(2), axes)
         normals, noise = (turn @ m @ turn.T for m in (self.normals, self.noise))
-        return Equations(normals, noise, self.sides @ turn.T, turn @ self.false @ turn.T)
+        return Equations(normals, noise, self.right_hand_sides @ turn.T, turn @ self.false @ turn.T)
 
 
 def equations_of(
@@ -111,8 +111,8 @@ def equations_of(
                 step()
         view.nuisance.release()
     for b, e in enumerate(motions):
-        assert clock.sides is not None
-        known[b] += clock.sides.summed(e, np.flatnonzero(bodies[b].weights))
+        assert clock.right_hand_sides is not None
+        known[b] += clock.right_hand_sides.summed(e, np.flatnonzero(bodies[b].weights))
     return [Equations(normals[b], noise[b], known[b], false[b]) for b in range(len(bodies))]
 
 

@@ -19,7 +19,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit
 from tg4mm.fit.motion.observations import Observations
-from tg4mm.show.measure.kept import Sides
+from tg4mm.show.measure.kept import RightHandSides
 from tg4mm.show.measure.residuals import MeasuredView
 
 _WEAKEST = 1e-9  # of the strongest field's energy
@@ -72,7 +72,7 @@ class SharedClock:
     name: str  # "" where there is one clock
     views: tuple[int, ...]
     times_s: np.ndarray  # [F] seconds
-    sides: Sides | None  # right-hand sides (`residuals.py`); None for a flat capture
+    right_hand_sides: RightHandSides | None  # right-hand sides (`residuals.py`); None for a flat capture
     series: np.ndarray  # [R, F] of the modal fields
 
 

@@ -100,9 +100,9 @@ def series_of(
     shifts = slice(len(axes))
     dof = equations.false.shape[-1] if _resolves_rotation(equations, len(axes)) else len(axes)
     false = _false_share(equations, dof, len(axes))
-    normals, noise, sides = equations.normals, equations.noise, equations.sides
-    answers = [_solved(normals[h], noise[h], sides[h], dof) for h in (0, 1)]
-    whole, covariance = _solved(normals.sum(0), noise.sum(0), sides.sum(0), dof)
+    normals, noise, right_hand_sides = equations.normals, equations.noise, equations.right_hand_sides
+    answers = [_solved(normals[h], noise[h], right_hand_sides[h], dof) for h in (0, 1)]
+    whole, covariance = _solved(normals.sum(0), noise.sum(0), right_hand_sides.sum(0), dof)
     out = _without(whole, slow)
     difference = _without(answers[0][0] - answers[1][0], slow)
     # The part proportional to the motion is an error of the model in each half, not noise: it must not lift the floor.
@@ -132,7 +132,7 @@ def series_of(
 
 
 def _solved(
-    normals: np.ndarray, noise: np.ndarray, sides: np.ndarray, dof: int
+    normals: np.ndarray, noise: np.ndarray, right_hand_sides: np.ndarray, dof: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return answers A⁻¹ b [F, dof] and covariances at unit noise A⁻¹ B A⁻ᵀ [F, dof, dof] for the first unknowns.
 
@@ -150,8 +150,8 @@ def _solved(
         covariance = inverse @ b @ inverse.T
         covariance[np.diag_indices(dof)] = np.where(hidden > 0.5, np.inf, np.diag(covariance))
         covariances.append(covariance)
-    shape = len(sides), dof, dof
-    answer = np.einsum("fij,fj->fi", np.broadcast_to(answers, shape), sides[:, :dof])
+    shape = len(right_hand_sides), dof, dof
+    answer = np.einsum("fij,fj->fi", np.broadcast_to(answers, shape), right_hand_sides[:, :dof])
     return answer, np.broadcast_to(covariances, shape).copy()
 
 
