@@ -5,7 +5,7 @@ import pytest
 
 from tests.show.measure.filmed import BALL_SPHERE, of_parts, run_of, sine
 from tg4mm.show.measure import measure, parse_sensor, prepare
-from tg4mm.show.measure.kept import Sides
+from tg4mm.show.measure.stored_pass import RightHandSides
 
 AMPLITUDE = np.array([0.016, 0.0, 0.012])
 N, FRAMES = 400, 60
@@ -47,5 +47,5 @@ def motions(rows):
 def test_rounding_adds_a_ten_thousandth_of_the_variance(exact, rows):
     e = motions(rows)
     expected = np.einsum("knc,hfnc->hfk", e.astype(float), exact)
-    error = Sides.of(exact).summed(e, rows) - expected
+    error = RightHandSides.of(exact).summed(e, rows) - expected
     assert 0 < (error**2).mean() < 2e-4 * (expected**2).mean()

@@ -17,7 +17,6 @@ from tg4mm.run import Run
 from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.show.measure.clusters import Clusters, clusters_of
 from tg4mm.show.measure.flat import flat_sensors
-from tg4mm.show.measure.kept import HALVES
 from tg4mm.show.measure.limits import limits_of, with_losses
 from tg4mm.show.measure.locate import (
     OF_ONE_CAMERA,
@@ -37,6 +36,7 @@ from tg4mm.show.measure.sensors import MeasureError, Sensor, checked_names
 from tg4mm.show.measure.series import Series, series_of, shared_error, with_model_error
 from tg4mm.show.measure.shapes import OperatingShape, shapes_of
 from tg4mm.show.measure.spectrum import USUAL_PERIOD
+from tg4mm.show.measure.stored_pass import HALVES
 from tg4mm.show.measure.video import looked_at
 
 _LONG = 5e5  # pixels times views and sensors beyond which progress is shown

@@ -31,7 +31,6 @@ from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
 from tg4mm.run import Run
 from tg4mm.run.checks import check_readout, check_times
 from tg4mm.run.stages import look_of
-from tg4mm.show.measure.kept import HALVES, KeptPass, RightHandSides, Wanted
 from tg4mm.show.measure.residuals import (
     MeasuredView,
     halves_of,
@@ -45,6 +44,7 @@ from tg4mm.show.measure.residuals import (
 )
 from tg4mm.show.measure.scene import ModalFields, Prepared, SharedClock, clock_phases, zeros_on_disk
 from tg4mm.show.measure.sensors import MeasureError
+from tg4mm.show.measure.stored_pass import HALVES, RightHandSides, StoredPass, Wanted
 
 _PERIODS = 8.0  # of the lowest frequency that a moving camera resolves (`temporal/moving.py`)
 _MOST_SLOW = 12  # degree of the polynomials
@@ -104,9 +104,9 @@ def prepare(run: Run, keep: bool = True) -> Prepared:
     times = (fit.motion.fps, fit.motion.n_timesteps), (capture.fps, capture.n_timesteps)
     check_times(run.path, run.dataset, *times)
     check_readout(run.path, run.dataset, fit.figures, capture.rows_s)
-    kept = KeptPass.of(run, keep)
-    pictures = FilePictures(capture) if kept.is_there else pictures_for(capture)
-    return _prepared(_unread(fit, capture, observe(capture, pictures), run.path), kept)
+    stored = StoredPass.of(run, keep)
+    pictures = FilePictures(capture) if stored.is_there else pictures_for(capture)
+    return _prepared(_unread(fit, capture, observe(capture, pictures), run.path), stored)
 
 
 def prepare_fit(
@@ -137,10 +137,10 @@ def _unread(fit: MotionFit, capture: Capture, observations: Observations, folder
     return Prepared(fit, folder, capture, observations, ModalFields.of(fit.motion, n), (), (), np.zeros(n))
 
 
-def _prepared(scene: Prepared, kept: KeptPass | None) -> Prepared:
+def _prepared(scene: Prepared, stored: StoredPass | None) -> Prepared:
     if scene.is_moving:
-        return _moving(scene, kept)
-    scene = _fixed(scene, kept) if scene.capture.kind.sees_depth else _flat(scene)
+        return _moving(scene, stored)
+    scene = _fixed(scene, stored) if scene.capture.kind.sees_depth else _flat(scene)
     if len(scene.observations.frames) != 1:
         return scene
     root = scene.capture.root
@@ -149,7 +149,7 @@ def _prepared(scene: Prepared, kept: KeptPass | None) -> Prepared:
     return replace(scene, video=video_file(root), b_frames=b_frames, found=look)
 
 
-def _moving(scene: Prepared, kept: KeptPass | None) -> Prepared:
+def _moving(scene: Prepared, stored: StoredPass | None) -> Prepared:
     """Prepare the capture of a moving camera."""
     gaussians, observations = scene.gaussians, scene.observations
     times = np.array([f.times_s[0] for f in observations.frames])
@@ -159,11 +159,11 @@ def _moving(scene: Prepared, kept: KeptPass | None) -> Prepared:
         "level": (np.float64, (count,)),
         "seen": (np.float64, (len(gaussians),)),
     }
-    found = None if kept is None else kept.load(wanted, {"0": count}, len(gaussians))
+    found = None if stored is None else stored.load(wanted, {"0": count}, len(gaussians))
     if found is None:
         arrays, right_hand_sides = _moving_pass(scene, series)
-        if kept is not None:
-            kept.save(arrays | right_hand_sides.arrays("0"), ())
+        if stored is not None:
+            stored.save(arrays | right_hand_sides.arrays("0"), ())
     else:
         arrays, (right_hand_sides,) = found
     frames = [replace(f, viewmat=v) for f, v in zip(observations.frames, arrays["viewmats"], strict=True)]
@@ -224,7 +224,7 @@ def _flat(scene: Prepared) -> Prepared:
     return replace(scene, observations=found.observations, notes=tuple(found.notes))
 
 
-def _fixed(scene: Prepared, kept: KeptPass | None) -> Prepared:
+def _fixed(scene: Prepared, stored: StoredPass | None) -> Prepared:
     """Prepare a capture of fixed cameras, from what an earlier call has cached or from the pictures."""
     clocks, frames, (width, height) = _clocks(scene), scene.observations.frames, scene.observations.size
     wanted: Wanted = {
@@ -234,21 +234,21 @@ def _fixed(scene: Prepared, kept: KeptPass | None) -> Prepared:
         "unit": (np.float32, (len(frames),)),
     }
     n_frames = {str(c): len(clock.times_s) for c, clock in enumerate(clocks)}
-    found = None if kept is None else kept.load(wanted, n_frames, len(scene.gaussians))
-    if kept is not None and found is not None:
+    found = None if stored is None else stored.load(wanted, n_frames, len(scene.gaussians))
+    if stored is not None and found is not None:
         arrays, right_hand_sides = found
         views = _views(scene, frames, unpacked_mean(arrays["mean"]), arrays["active"].astype(bool))
         weights = arrays["weights"].astype(np.float32) * arrays["unit"][:, None, None]
         views = [replace(v, weights=w) for v, w in zip(views, weights, strict=True)]
-        notes = kept.notes
+        notes = stored.notes
     else:
         observations, means, active, notes = _looked(scene)
         means = unpacked_mean(packed_mean(means))  # as a later call will have it
         views, right_hand_sides = _pass(
             scene, observations, _views(scene, observations.frames, means, active), clocks
         )
-        if kept is not None:
-            _keep(kept, views, right_hand_sides, notes)
+        if stored is not None:
+            _keep(stored, views, right_hand_sides, notes)
     clocks = tuple(replace(c, right_hand_sides=s) for c, s in zip(clocks, right_hand_sides, strict=True))
     seen = seen_weights([v.view for v in views], len(scene.gaussians))
     return replace(scene, views=views, clocks=clocks, seen=seen, notes=tuple(notes))
@@ -327,7 +327,7 @@ def _pass(
 
 
 def _keep(
-    kept: KeptPass,
+    stored: StoredPass,
     views: Sequence[MeasuredView],
     right_hand_sides: Sequence[RightHandSides],
     notes: Sequence[str],
@@ -341,7 +341,7 @@ def _keep(
     }
     for c, own in enumerate(right_hand_sides):
         arrays |= own.arrays(str(c))
-    kept.save(arrays, notes)
+    stored.save(arrays, notes)
 
 
 def seen_weights(views: Sequence[ViewJacobian], n_gaussians: int) -> np.ndarray:

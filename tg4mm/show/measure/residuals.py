@@ -21,7 +21,7 @@ from tg4mm.fit.motion.nuisance.projection import Nuisance, without
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.motion.split_half import LEAST, chessboard
-from tg4mm.show.measure.kept import HALVES
+from tg4mm.show.measure.stored_pass import HALVES
 
 AT_ONCE = 8  # frames
 Step = Callable[[int], None]  # called with the number of frames that were done

@@ -26,8 +26,8 @@ import numpy as np
 
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import false_changes
-from tg4mm.show.measure.kept import HALVES
 from tg4mm.show.measure.residuals import MeasuredView
+from tg4mm.show.measure.stored_pass import HALVES
 
 if TYPE_CHECKING:
     from tg4mm.show.measure.scene import Prepared, SharedClock

@@ -19,8 +19,8 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit
 from tg4mm.fit.motion.observations import Observations
-from tg4mm.show.measure.kept import RightHandSides
 from tg4mm.show.measure.residuals import MeasuredView
+from tg4mm.show.measure.stored_pass import RightHandSides
 
 _WEAKEST = 1e-9  # of the strongest field's energy
 IN_MEMORY = 1 << 30  # bytes of a pass through the pictures in memory; more lies in a temporary file

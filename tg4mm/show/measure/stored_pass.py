@@ -99,11 +99,11 @@ def check_arrays(arrays: Mapping[str, np.ndarray], wanted: Wanted) -> None:
             raise ValueError(f"{name} is {shown}, expected {np.dtype(kind)} {shape}")
 
 
-Kept = tuple[dict[str, np.ndarray], list[RightHandSides]]
+StoredArrays = tuple[dict[str, np.ndarray], list[RightHandSides]]
 
 
 @dataclass(frozen=True)
-class KeptPass:
+class StoredPass:
     """The cache file of one run, valid for the Gaussians and the motion with which it was made."""
 
     run: Run
@@ -112,15 +112,15 @@ class KeptPass:
     notes: list[str] = field(default_factory=list)
 
     @staticmethod
-    def of(run: Run, may_save: bool) -> "KeptPass":
-        return KeptPass(run, model_hash(run.path), may_save)
+    def of(run: Run, may_save: bool) -> "StoredPass":
+        return StoredPass(run, model_hash(run.path), may_save)
 
     @property
     def is_there(self) -> bool:
         """Return whether the run has such a file, for any model."""
         return self.run.has_part(PART)
 
-    def load(self, wanted: Wanted, n_frames: Mapping[str, int], n_gaussians: int) -> Kept | None:
+    def load(self, wanted: Wanted, n_frames: Mapping[str, int], n_gaussians: int) -> StoredArrays | None:
         """Return the arrays `wanted`, by name, type and shape, and the sides of clocks of so many frames.
 
         None where they are absent, damaged, or belong to another model.
