@@ -20,7 +20,7 @@ from tg4mm.core.choices import METHODS
 from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.magnify.linear import magnified_motion
+from tg4mm.fit.magnify import magnified_motion
 from tg4mm.fit.motion.animate import animator
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.config import checked as checked_motion

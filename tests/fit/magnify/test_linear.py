@@ -10,7 +10,7 @@ import pytest
 
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.magnification import BandGain, Magnification, TemporalFilter, apply_response, bins
-from tg4mm.fit.magnify.linear import magnified_motion, magnified_series
+from tg4mm.fit.magnify import magnified_motion, magnified_series
 from tg4mm.fit.motion.animate import displacement_at, rotation_at
 from tg4mm.fit.motion.modes import ModalMotion
 

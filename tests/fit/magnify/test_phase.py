@@ -1,6 +1,6 @@
 """Phase-based magnification: a known shift grows as it should, and nothing else changes.
 
-Phase magnification stays within the memory that tg4mm/fit/magnify/phase.py states, whatever T is.
+Phase magnification stays within the memory that tg4mm/fit/magnify.py states, whatever T is.
 """
 
 import os
@@ -14,7 +14,7 @@ import torch
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.magnification import TemporalFilter, apply_response, bins
-from tg4mm.fit.magnify.phase import PhaseMagnifier, PyramidConfig, _give, crop, pyramid, sub_bands, turn
+from tg4mm.fit.magnify import PhaseMagnifier, PyramidConfig, _give, crop, pyramid, sub_bands, turn
 
 FPS, T, SIZE = 30.0, 30, 64
 BAND = (3.5, 6.5)
@@ -27,7 +27,7 @@ import sys
 import numpy as np
 import torch
 from tg4mm.core.magnification import TemporalFilter, bins
-from tg4mm.fit.magnify.phase import PhaseMagnifier
+from tg4mm.fit.magnify import PhaseMagnifier
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 torch.set_num_threads(1)
 n, size = int(sys.argv[1]), int(sys.argv[2])

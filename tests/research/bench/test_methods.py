@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tg4mm.fit.magnify.phase import PhaseMagnifier, half_octave_bands
+from tg4mm.fit.magnify import PhaseMagnifier, half_octave_bands
 from tg4mm.research.bench.methods.tracking import HexPlane
 from tg4mm.research.bench.methods.video import Linear2D, Phase2D, SmoothedPhase, band_response
 from tg4mm.research.bench.request import BenchPlan

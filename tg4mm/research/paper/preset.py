@@ -27,8 +27,7 @@ from tg4mm.core.memory import reserve
 from tg4mm.core.progress import progress
 from tg4mm.core.untrusted import read_formed
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.magnify.linear import magnified_series
-from tg4mm.fit.magnify.phase import PhaseMagnifier, PyramidConfig
+from tg4mm.fit.magnify import PhaseMagnifier, PyramidConfig, magnified_series
 from tg4mm.fit.space import SpaceConfig
 from tg4mm.fit.space.config import checked as checked_space
 from tg4mm.research.paper.model import (

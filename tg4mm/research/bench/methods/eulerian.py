@@ -24,8 +24,7 @@ from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.core.progress import Update, progress
-from tg4mm.fit.magnify.linear import magnified_series
-from tg4mm.fit.magnify.phase import PhaseMagnifier
+from tg4mm.fit.magnify import PhaseMagnifier, magnified_series
 from tg4mm.fit.space import RestViews
 from tg4mm.research.bench.methods import Pictures, row_title
 from tg4mm.research.bench.methods.planes import (

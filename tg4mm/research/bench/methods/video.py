@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tg4mm.capture import Capture
 from tg4mm.core.magnification import Magnification, apply_response, bins
-from tg4mm.fit.magnify.phase import SMALLEST, PhaseMagnifier, half_octave_bands
+from tg4mm.fit.magnify import SMALLEST, PhaseMagnifier, half_octave_bands
 from tg4mm.research.bench.folder import files_state
 from tg4mm.research.bench.methods import Pictures
 from tg4mm.research.bench.request import BenchPlan
