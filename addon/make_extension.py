@@ -31,7 +31,7 @@ def stage(folder: Path) -> Path:
 
 
 def wheel_files() -> list[Path]:
-    """What the wheel holds: the core that needs numpy alone, and the generator but what spreads work over a cluster."""
+    """Return the files of the wheel: the core that needs numpy alone, and the generator without its cluster part."""
     core, generator = ROOT / "tg4mm" / "core", ROOT / "dataset_gen"
     left_out = tuple(str(core / name) for name in _NEED_MORE)
     found = [file for file in core.rglob("*.py") if not str(file).startswith(left_out)]

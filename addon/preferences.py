@@ -119,7 +119,7 @@ def unit_for(context: Any, obj: Any) -> Unit:
 
 
 class TG4MM_defaults:
-    """What `get` answers without an enabled extension; the same names."""
+    """Values that `get` returns without an enabled extension; the same names."""
 
     draw_as, band_width, most = drawing.AUTOMATIC, 1.0, 5_000_000
     length_unit, digits, core_python = "METRIC", 4, ""

@@ -41,7 +41,7 @@ def draw_generate(layout: Any, context: Any) -> None:
 
 @_ui.panel("VIEW3D_PT_tg4mm_mode", "Vibration", parent=_GENERATE)
 def draw_vibration(layout: Any, context: Any) -> None:
-    """What moves, and how"""
+    """Moving parts and their vibration"""
     settings = context.scene.tg4mm_generate
     _spread(layout)
     layout.prop(settings, "source", expand=True)

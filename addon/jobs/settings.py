@@ -45,7 +45,7 @@ class TG4MM_moving_object(bpy.types.PropertyGroup):
 
 
 class TG4MM_generate(bpy.types.PropertyGroup):
-    """How the scene vibrates, and what is rendered of it"""
+    """The scene's vibration, cameras and pictures"""
 
     # fmt: off
     moving: props.CollectionProperty(type=TG4MM_moving_object)  # type: ignore[valid-type]

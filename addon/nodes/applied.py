@@ -80,7 +80,7 @@ def at_rest(graph: Graph, applied: Applied, place: Any) -> Any:
 
 
 def put_back(graph: Graph, applied: Applied, drawn: Any, native: Any | None) -> Any:
-    """What is drawn at rest, where it is now. `native`: true where it is a cloud of Blender's own splats.
+    """Move what is drawn at rest to its present position. `native`: true where it is a cloud of Blender's own splats.
 
     Transform Geometry moves the positions of such a cloud alone; as an instance it is drawn as it should be.
     """

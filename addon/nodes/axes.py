@@ -1,4 +1,4 @@
-"""Which axis of a file points up."""
+"""The axis of a file that points up."""
 
 import math
 from typing import Any

@@ -186,7 +186,7 @@ def _declare_analysis(graph: Graph, content: Content) -> None:
 
 
 def _as_one_mesh(graph: Graph, draw: Any, inputs: Any) -> Any:
-    """What to draw: one mesh has no transparency, so it shows splats as ellipsoids."""
+    """Return the shapes to draw: one mesh has no transparency, so it shows splats as ellipsoids."""
     as_mesh = graph.both(is_drawn(graph, draw, lambda mode: mode.soft), inputs[names.SOLID_COLOUR])
     return graph.choose("INT", as_mesh, draw, list(DRAW_MODES).index(USUAL))
 

@@ -82,7 +82,7 @@ def draw_frequencies(layout: Any, context: Any) -> None:
 
 @_ui.panel("VIEW3D_PT_tg4mm_look", "Look", on_splats, TAB)
 def draw_look(layout: Any, context: Any) -> None:
-    """How the active splat object is drawn and coloured"""
+    """Shapes and colours of the active splat object"""
     obj = scene.splat_object(context)
     modifier = scene.splat_modifier(obj)
     _draw_all(_fields(layout), modifier, names.DRAW, names.COLOUR_BY)
@@ -126,7 +126,7 @@ def draw_details(layout: Any, context: Any) -> None:
 
 @_ui.panel("VIEW3D_PT_tg4mm_import", "Changed by Import", on_splats, TAB)
 def draw_import(layout: Any, context: Any) -> None:
-    """What the import set in this scene, and how it turned the file"""
+    """Settings that the import changed in this scene, and the up axis of the file"""
     obj = scene.splat_object(context)
     lines = [*str(obj.get(names.NOTES, "")).splitlines(), *(changed := changes.listed(context.scene))]
     column = layout.column(align=True)

@@ -252,7 +252,7 @@ def marked_curve(
 
 
 def time_part(context: Any, obj: Any, found: probe.Probe) -> float:
-    """Where in the recording the current frame is: 0 its first timestep, 1 its last."""
+    """Return the position of the current frame in the recording: 0 is its first timestep, 1 its last."""
     modifier = scene.splat_modifier(obj)
     return clock.timestep(context.scene, obj, modifier) / max(found.n_timesteps - 1, 1)
 

@@ -4,8 +4,9 @@ Linear: a series is filtered, and α times the band is added; for embeddings (`p
 timestep 0, for modal motion displacement and rotation, which gives a modal motion again.
 
 Phase-based: [TG4MM] Eqs. (12) to (15), [PVM]. Each sub-band of the complex steerable pyramid holds local phase. Its
-change since frame 0 is filtered over time, multiplied by α, and added to the phase; high- and low-pass residual stay as they are. In its linear range (α times the
-shift below about half the wavelength of a sub-band) a shift δ of what the band shows becomes (1 + α) δ.
+change since frame 0 is filtered over time, multiplied by α, and added to the phase; high- and low-pass
+residual stay as they are. In its linear range (α times the shift below about half the wavelength of a sub-band) a shift
+δ of what the band shows becomes (1 + α) δ.
 
 Memory. A pyramid of every frame at once would take 23 MB × T at 512², 7 GB for T = 300. Here one sub-band of all frames
 is held at a time. With S = T · H · W cells of a video, at most

@@ -29,7 +29,7 @@ class BaselineMisfit:
 
     @property
     def excess(self) -> np.ndarray:
-        """[C]: logarithm of the typical misfit over the baseline one."""
+        """Return [C]: logarithm of the typical misfit over the baseline one."""
         return np.asarray(np.log(self.typical / self.level))
 
     def stand_out(self, typical: np.ndarray | None = None) -> np.ndarray:
@@ -55,7 +55,7 @@ def baseline_of(
 
 
 def _compared(typical: np.ndarray, covariance: np.ndarray, grid: Grid) -> np.ndarray:
-    """[C] bool: cells whose typical misfits [C] define the baseline: all, or the textured ones if most are plain.
+    """Return cells [C] bool whose typical misfits [C] define the baseline: all, or the textured if most are plain.
 
     Most cells of a picture with an overexposed or rendered background have no noise but rounding, unlike the others.
     """

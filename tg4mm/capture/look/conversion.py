@@ -42,7 +42,7 @@ _SAID = 0.02  # of an amplitude, that it loses
 
 @dataclass(frozen=True)
 class Conversion:
-    """How a recording was converted to its frame rate."""
+    """Conversion of a recording to its frame rate."""
 
     kind: str  # fields, blended or nearest
     share: Fraction  # source pictures a frame
@@ -56,7 +56,7 @@ class Conversion:
         return self.share.denominator
 
     def factors(self, hz: float) -> np.ndarray:
-        """[n] complex: what the frames of a period show of a line, relative to the line."""
+        """Return [n] complex: what the frames of a period show of a line, relative to the line."""
         late = [(i / float(self.share) - np.arange(self.period)) / self.rate for i in self.sources]
         parts = zip(self.weights, late, strict=True)
         return np.asarray(sum(w * np.exp(2j * np.pi * hz * s) for w, s in parts))
@@ -112,7 +112,7 @@ def with_conversion(lines: Sequence[LookLine], conversion: Conversion | None) ->
 
 
 def _has_common_images(hz: float, step: float, resolution: float) -> bool:
-    """Whether images of a line, at steps in Hz around it, coincide with each other, or with its harmonics."""
+    """Return whether images of a line, at steps in Hz around it, coincide with each other, or with its harmonics."""
     return any(abs((n * hz + step / 2) % step - step / 2) < resolution for n in (1, 2))
 
 
@@ -137,7 +137,7 @@ def _conversions(rate: float, patterns: Sequence[int]) -> Iterator[Conversion]:
 
 
 def _series(scene: CellScene, hz: float) -> np.ndarray:
-    """[F]: the shift of all cells, weighted by what they show of a line, less the nuisance columns."""
+    """Return [F]: the shift of all cells, weighted by what they show of a line, less the nuisance columns."""
     wave = np.exp(2j * np.pi * hz * scene.times_s)
     shift = np.nan_to_num(scene.series.shift[:, scene.usable])
     columns = np.concatenate([wave.real[:, None], wave.imag[:, None], scene.nuisance], 1)

@@ -72,7 +72,7 @@ def look(
 
 
 def _is_small(region: Region) -> bool:
-    """Whether a region covers only a few cells of a large picture."""
+    """Return whether a region covers only a few cells of a large picture."""
     return float(np.ptp(region.corners, axis=0).min()) < _FEW * LARGE_CELL
 
 

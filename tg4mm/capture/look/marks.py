@@ -117,11 +117,11 @@ def _beside_taken(line: LookLine, taken_off: Mapping[float, str], duration_s: fl
 
 
 def _is_inexact(line: LookLine) -> bool:
-    """Whether a line is large and measured in one cell alone."""
+    """Return whether a line is large and measured in one cell alone."""
     is_sure = line.cells.sum() >= _SHOWS and line.amplitude_px > _SURE * line.amplitude_deviation_px
     return bool(line.amplitude_px > _EXACT_PX and line.region.sum() == 1 and not is_sure)
 
 
 def _is_there(line: LookLine, other: LookLine) -> bool:
-    """Whether two lines share a place: a codec's artefacts appear where the motion is."""
+    """Return whether two lines share a place: a codec's artefacts appear where the motion is."""
     return bool((line.cells & ndimage.binary_dilation(other.cells, BLOCK)).any())

@@ -47,7 +47,7 @@ class LookLine:
     readout_deviation_s: float | None = None
 
     def course(self, times_s: np.ndarray) -> np.ndarray:
-        """[2, F]: cosine and sine, decaying as it was found to."""
+        """Return [2, F]: cosine and sine, decaying as it was found to."""
         start = float(times_s[0]) if self.start_s is None else self.start_s
         ratio = self.damping or 0.0
         decay = 2 * np.pi * self.hz * ratio / np.sqrt(max(1 - ratio**2, 1e-9))
@@ -124,11 +124,11 @@ class LookSummary:
         return tuple(line for line in self.lines if not line.mark)
 
     def mask(self) -> np.ndarray:
-        """[H, W] bool: the pixels of independently moving regions."""
+        """Return [H, W] bool: the pixels of independently moving regions."""
         return self.pixels(self.moves_by_itself)
 
     def pixels(self, cells: np.ndarray) -> np.ndarray:
-        """[H, W] bool: the pixels of cells [rows, columns]."""
+        """Return [H, W] bool: the pixels of cells [rows, columns]."""
         width, height = self.size
         fine = np.kron(cells, np.ones((self.cell_px, self.cell_px), bool))
         out = np.zeros((height, width), bool)

@@ -43,7 +43,7 @@ class PoolShape:
     seen_weights: np.ndarray  # [m]
 
     def series(self, residual: np.ndarray, seen: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """[F], and [F] bool: the pictures in which enough of the shape is seen."""
+        """Return [F], and [F] bool: the pictures in which enough of the shape is seen."""
         total = residual[:, self.columns] @ self.weights
         if seen is None:
             return total, np.ones(len(total), bool)

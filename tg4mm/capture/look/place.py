@@ -105,7 +105,7 @@ def placed(search: Search, line: PoolLine) -> list[Placed]:
 
 
 def _differs(search: Search, line: PoolLine, part: Placed, other: Placed) -> bool:
-    """Whether a part clearly moves in another direction or phase; rows that are read later are later in phase."""
+    """Return whether a part clearly moves in another direction or phase; later rows are later in phase."""
     if part.amplitude_px < (_REAL_CODED if search.scene.patterns else _REAL) * part.deviation_px:
         return False
     sure = _CLEARLY * np.hypot(part.noise_px / part.amplitude_px, other.noise_px / other.amplitude_px)
@@ -221,7 +221,7 @@ class _Placing:
         return float(np.einsum("ix,ij,jy,xy->", off, self.products, off, self.weights[cell]))
 
     def _moves(self, cell: int, common: np.ndarray) -> bool:
-        """Whether a cell agrees with the common motion better than with rest."""
+        """Return whether a cell agrees with the common motion better than with rest."""
         return self._distance(cell, common) < self._distance(cell, 0.0)
 
     def _neighbours(self, cell: int, reach: tuple[tuple[int, int], ...]) -> list[int | None]:
@@ -337,7 +337,7 @@ class _Placing:
         return by_phases(angles, statistic[cells], heights, self.line.vibration.hz)
 
     def _meets_image(self) -> bool:
-        """Whether the line's images by a codec, at j / p of the rate less its frequency, coincide with it."""
+        """Return whether the line's images by a codec, at j / p of the rate less its frequency, coincide with it."""
         scene, hz = self.search.scene, self.line.vibration.hz
         image_hz = images(hz, 1 / scene.dt, scene.patterns)
         return min((abs(image - hz) for image in image_hz), default=np.inf) < 2 / scene.duration

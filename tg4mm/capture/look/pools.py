@@ -44,11 +44,11 @@ class AggregationWindow:
 
     @property
     def sure_floor(self) -> np.ndarray:
-        """[K, M]: the noise floor, no lower than that of rounding."""
+        """Return [K, M]: the noise floor, no lower than that of rounding."""
         return np.maximum(self.floor, self.least)
 
     def statistics(self) -> np.ndarray:
-        """[K, P]: power over noise, summed over both axes; half of χ² of 4 degrees of freedom where nothing moves."""
+        """Return power over noise [K, P], summed over both axes; without motion half of χ² of 4 degrees of freedom."""
         ratio = np.abs(self.amplitudes) ** 2 / self.floor
         return np.asarray(ratio.reshape(len(ratio), -1, 2).sum(2))
 
@@ -70,7 +70,7 @@ class AggregationWindow:
         return [] if self.seen is None else _alike(self.seen)
 
     def in_picture(self, values: np.ndarray, which: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """[..., p, 2] right and down of values [..., 2 p] along the axes of the places `which`."""
+        """Return [..., p, 2] right and down of values [..., 2 p] along the axes of the places `which`."""
         return np.asarray(
             np.einsum("cxa,...ca->...cx", self.axes[which], values.reshape(*values.shape[:-1], -1, 2))
         )
@@ -99,7 +99,7 @@ def _pool(scene: CellScene, size: int) -> AggregationWindow:
     frames = len(scene.times_s)
 
     def boxes(values: np.ndarray) -> np.ndarray:
-        """[..., P, k]: sums of values [..., C, k] over a place's cells."""
+        """Return [..., P, k]: sums of values [..., C, k] over a place's cells."""
         a = values.reshape(*values.shape[:-2], grid.rows, grid.columns, values.shape[-1])
         for axis in (-3, -2):
             pad = [(0, 0)] * a.ndim

@@ -157,7 +157,7 @@ class _TemplateReader:
             self.patches = []
 
     def _far(self, alone: np.ndarray) -> np.ndarray:
-        """[C] bool: cells that no small shift explains, or whose shift is far from the whole picture's."""
+        """Return [C] bool: cells that no small shift explains, or whose shift is far from the whole picture's."""
         shift, _, misfit, _ = self.solved()
         covariance = self.templates[0].covariance
         deviation = np.linalg.norm(np.nan_to_num(shift - whole_shift(shift, covariance)[:, None]), axis=2)
@@ -231,7 +231,7 @@ def _mean_without(
 
 
 def whole_shift(shift: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """[F, 2]: the median over area of shifts [F, C, 2], of cells with texture."""
+    """Return [F, 2]: the median over area of shifts [F, C, 2], of cells with texture."""
     spread = np.einsum("cii->ci", covariance).max(1)
     usable = np.isfinite(spread) & np.isfinite(shift).all((0, 2))
     if not usable.any():

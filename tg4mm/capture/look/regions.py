@@ -27,7 +27,7 @@ def region_looks(scene: CellScene, regions: Iterable[Region]) -> tuple[RegionLoo
 
 
 def _cells(scene: CellScene, region: Region) -> tuple[np.ndarray, bool]:
-    """[C] bool, and whether all of them lie inside the region."""
+    """Return [C] bool, and whether all of them lie inside the region."""
     size = scene.grid.size
     share = scene.grid.cut(region.mask(scene.series.size)[None])[:, 0].mean(1)
     if not (share >= _HALF).any():

@@ -144,7 +144,7 @@ class CellScene:
 
     @property
     def treats_apart(self) -> bool:
-        """Whether B-frames lack detail and there are enough other frames."""
+        """Return whether B-frames lack detail and there are enough other frames."""
         return self.lost > _LOST and int((~self.between).sum()) > _FEWESTOTHERS and bool(self.between.any())
 
 

@@ -151,7 +151,7 @@ class Search:
         return float(power.mean() / seen.mean()) if len(power) else np.inf  # fitted outside what is searched
 
     def _is_image(self, hz: float, statistic: float) -> bool:
-        """Whether hz is an image of a much stronger line by the codec's frame pattern: j rate / n ± f for period n."""
+        """Return whether hz is an image of a much stronger line by the codec's pattern, j rate / n ± f, period n."""
         return any(
             line.statistic > _IMAGE_SURE * statistic
             and any(

@@ -21,7 +21,7 @@ _STEPS = 3  # of reweighting: cells that move by themselves count less
 
 
 def designs(places: np.ndarray, size: tuple[int, int], shapes: Sequence[str] = SHAPES) -> np.ndarray:
-    """[C, 2, 2 + m]: shifts of cells at places [C, 2] px by a unit of the camera's shift, and of each shape.
+    """Return [C, 2, 2 + m]: shifts of cells at places [C, 2] px by a unit of the camera's shift, and of each shape.
 
     A shape's unit is one pixel in the corners of the picture, width and height `size`.
     """
@@ -32,7 +32,7 @@ def designs(places: np.ndarray, size: tuple[int, int], shapes: Sequence[str] = S
 
 
 def fitted(design: np.ndarray, weights: np.ndarray, counts: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """[F, 2 + m]: weighted least squares of shifts [F, C, 2]; weights [C, 2, 2], counts [F, C]."""
+    """Return [F, 2 + m]: weighted least squares of shifts [F, C, 2]; weights [C, 2, 2], counts [F, C]."""
     by_weight = design.transpose(0, 2, 1) @ weights
     products = np.einsum("kc,cij->kij", counts, by_weight @ design)
     by_shift = np.einsum("kc,cij,kcj->ki", counts, by_weight, shift, optimize=True)
@@ -78,7 +78,7 @@ def _slopes(
     nuisance: np.ndarray,
     here: np.ndarray,
 ) -> np.ndarray | None:
-    """[m, 2]: slope of a quarter's time course on the others', and its ratio to its deviation; None for few cells."""
+    """Return slopes [m, 2] of a quarter's time course on the others', and their ratio to their ±; None for few."""
     inner, others = counts * here, counts * ~here
     if (inner.sum(0) > 0).sum() < _FEWEST_CELLS or (others.sum(0) > 0).sum() < 2 * _FEWEST_CELLS:
         return None

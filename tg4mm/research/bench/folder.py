@@ -63,7 +63,7 @@ def claim_set(out: Path, label: str, root: Path, digest: str, filmed: str) -> No
 
 
 def files_state(files: Iterable[Path], root: Path) -> list[list[Any]]:
-    """[name below `root`, bytes, time of change in ns] of each file: another list where one was changed."""
+    """Return [name below `root`, bytes, time of change in ns] of each file: another list where one was changed."""
     stats = ((file, file.stat()) for file in files)
     return [[file.relative_to(root).as_posix(), s.st_size, s.st_mtime_ns] for file, s in stats]
 

@@ -91,7 +91,7 @@ def score_pictures(
 
 
 def moving_pixels(truth: np.ndarray) -> np.ndarray:
-    """[H, W] bool: pixels of a video [T, H, W, 3] that differ from their mean over time by more than `MOVES`."""
+    """Return [H, W] bool: pixels of a video [T, H, W, 3] that differ from their mean over time by more than `MOVES`."""
     return np.asarray((np.abs(truth - truth.mean(0)) > MOVES).any((0, 3)))
 
 

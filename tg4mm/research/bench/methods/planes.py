@@ -29,7 +29,7 @@ _GROWN = 1  # pixels by which masks are
 
 @dataclass(frozen=True)
 class Place:
-    """Where the field is: a cube, and the cells of it that are not empty."""
+    """The field's extent: a cube, and its cells that are not empty."""
 
     box: np.ndarray  # [2, 3] float32 low and high corner, scene units
     filled: np.ndarray  # [CELLS, CELLS, CELLS] bool
@@ -65,14 +65,14 @@ def place_of(views: RestViews, margin: int) -> Place:
 
 
 def centres(box: np.ndarray) -> np.ndarray:
-    """[CELLS³, 3] float32."""
+    """Return [CELLS³, 3] float32."""
     unit = (np.arange(CELLS) + 0.5) / CELLS
     grid = np.stack(np.meshgrid(unit, unit, unit, indexing="ij"), -1).reshape(-1, 3)
     return (box[0] + grid * (box[1] - box[0])).astype(np.float32)
 
 
 def rays_of(viewmats: np.ndarray, ks: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """(origins, unit directions), each [V · H · W, 3] float32, of all pixels' centres; size (width, height)."""
+    """Return (origins, unit directions), each [V · H · W, 3] float32, of all pixels' centres; size (width, height)."""
     v, u = np.meshgrid(np.arange(size[1]) + 0.5, np.arange(size[0]) + 0.5, indexing="ij")
     pixels = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3)
     found = []
@@ -183,7 +183,7 @@ def sample(planes: Tensor, points: Tensor) -> Tensor:
 
 
 def harmonics(directions: Tensor) -> Tensor:
-    """[P, 9] real spherical harmonics to degree 2 of unit directions [P, 3]."""
+    """Return [P, 9] real spherical harmonics to degree 2 of unit directions [P, 3]."""
     x, y, z = directions.unbind(1)
     squares = [0.5462742 * (x * x - y * y), 0.3153916 * (3 * z * z - 1)]
     pairs = [1.0925484 * a * b for a, b in ((x, y), (y, z), (x, z))]

@@ -57,7 +57,7 @@ class VideoMethod:
 
 
 def band_response(data: BenchSet, alpha: float, plan: BenchPlan) -> np.ndarray:
-    """[T // 2 + 1] complex: α times the zero-phase filter's response to the band, or α where there is none."""
+    """Return [T // 2 + 1] complex: α times the zero-phase filter's response to the band, or α where there is none."""
     return Magnification.of(alpha, *plan.bands(data)).response(bins(data.n_timesteps, data.fps), data.fps)
 
 

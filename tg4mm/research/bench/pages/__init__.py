@@ -1,1 +1,1 @@
-"""What is read of a benchmark: tables, plots, pictures, and the pages that hold them."""
+"""Pages of a benchmark with tables, plots and pictures."""

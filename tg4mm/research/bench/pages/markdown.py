@@ -10,7 +10,7 @@ from tg4mm.research.text import TextTable, table
 
 
 def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, Mapping[str, str]]) -> str:
-    """What becomes docs/results.md. pictures: {group: {file name: title}}."""
+    """Return the page that becomes docs/results.md. pictures: {group: {file name: title}}."""
     about = _listed(about_methods(results))
     left_out = f"Left out:\n\n{_listed(failures(results))}" if failures(results) else ""
     parts = ["# Results", origin(results["made"]), how(results), about, left_out]
@@ -75,7 +75,7 @@ _OF_2D = "The methods called 2d magnify the test views' own videos, which no 3D 
 
 
 def how(results: Mapping[str, Any]) -> str:
-    """What all tables share."""
+    """Return the notes that all tables share."""
     own = [name for name in results["methods"] if name in METHODS]  # not what an outside method may be called
     band = (
         f"Every method magnifies the same band: {results['band']}. "
@@ -118,7 +118,7 @@ def _time_rule(results: Mapping[str, Any]) -> str:
 
 
 def failures(results: Mapping[str, Any]) -> list[str]:
-    """What was left out, and why."""
+    """Return lines that name what was left out, and why."""
     lines = [f"{f['set']}{', ' if f['method'] else ''}{f['method']}: {f['why']}" for f in results["failed"]]
     return lines + [f"{line['set']}: {note}" for line in results["lines"] for note in line["notes"]]
 
@@ -137,7 +137,7 @@ def sets_line(results: Mapping[str, Any], group: str) -> str:
 
 
 def remarks(results: Mapping[str, Any]) -> Iterator[tuple[str, list[str]]]:
-    """(title, lines): settings that differ from the defaults, and what an evaluation had to say."""
+    """Yield (title, lines): settings that differ from the defaults, and what an evaluation had to say."""
     given = {
         (run["row"], run["set"]): " ".join(f"--set {k}={v}" for k, v in run["overrides"].items())
         for run in results["runs"]

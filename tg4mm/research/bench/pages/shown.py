@@ -97,14 +97,14 @@ def _blocks(s: ShownView) -> Iterator[Block]:
 
 
 def _slices(s: ShownView) -> tuple[SliceLine, dict[str, np.ndarray]]:
-    """[TG4MM] Fig. 3: where they are cut, and uint8 pictures."""
+    """Return [TG4MM] Fig. 3: where they are cut, and uint8 pictures."""
     line = line_that_moves(s.videos[TRUTH])
     periods = -(-_REPEATS // len(s.videos[TRUTH]))
     return line, {row: slice_picture(to_bytes(video), line, periods) for row, video in s.videos.items()}
 
 
 def _maps(s: ShownView) -> tuple[dict[str, np.ndarray], float, int]:
-    """[TG4MM] Fig. 4: what changes from frame to frame, side by side as uint8 pictures; their scale, their number."""
+    """Return [TG4MM] Fig. 4, changes from frame to frame side by side as uint8 pictures, with scale and number."""
     n = min(_MAPS, len(s.videos[TRUTH]) - 1)
     maps = {row: difference_maps(video, n) for row, video in s.videos.items()}
     top = maps[TRUTH][1]
