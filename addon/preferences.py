@@ -36,7 +36,7 @@ class TG4MM_preferences(bpy.types.AddonPreferences):
             (
                 drawing.AUTOMATIC,
                 "Automatic",
-                "Blender's own splats where it has them, else the best that plays with so many Gaussians",
+                "Blender's own splats if it has them, otherwise the best shapes that play smoothly",
             ),
             *((name, name, mode.about) for name, mode in available(moves=True).items()),
         ],

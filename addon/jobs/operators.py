@@ -55,7 +55,7 @@ def mode_from_cursor(operator: Any, context: Any) -> None:
 
 def _about_generate(context: Any, properties: Any) -> str:
     return (
-        "Resume the stopped dataset, of the scene as it was then"
+        "Resume the stopped dataset, with the scene as it was then"
         if properties.go_on
         else str(generate.__doc__)
     )

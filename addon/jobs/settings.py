@@ -91,8 +91,8 @@ class TG4MM_generate(bpy.types.PropertyGroup):
         name="Height", description="World z", unit="LENGTH", precision=4)
     hold: props.EnumProperty(  # type: ignore[valid-type]
         name="Held", description="Support of the soft body",
-        items=[("HEIGHT", "Below a Height", "It sways above a height"),
-               ("POINT", "At a Point", "It sways with the distance from a point")])
+        items=[("HEIGHT", "Below a Height", "Sways above a height"),
+               ("POINT", "At a Point", "Sways more with the distance from a point")])
     reach: _length("Reach",  # type: ignore[valid-type]
                    "Distance from the support over which the displacement grows linearly", 1.0, 1e-6)
     random: props.BoolProperty(  # type: ignore[valid-type]
@@ -151,8 +151,8 @@ class TG4MM_generate(bpy.types.PropertyGroup):
     then_train: props.BoolProperty(  # type: ignore[valid-type]
         name="Then Train", description="Train splats on the dataset when it is complete, and import them")
     in_blender: props.BoolProperty(  # type: ignore[valid-type]
-        name="This Blender", description="This Blender renders, not the one that the core's Python has: the same "
-        "version as yours, but without truth per pixel and without a report")
+        name="This Blender", description="Render with this Blender instead of the core's: your version, but no truth per "
+        "pixel and no report")
     # fmt: on
 
 

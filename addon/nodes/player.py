@@ -159,9 +159,7 @@ def _declare(graph: Graph, content: Content) -> None:
     if content.sh_degree:
         text = "Colours as seen from the scene's camera instead of the mean over all directions"
         graph.interface(names.VIEW_COLOUR, "Bool", False, description=text)
-    text = (
-        "Colours as the screen shows them, so that they mix as in training; view transform Raw goes with it"
-    )
+    text = "Display colours, so that splats blend as in training; needs the view transform Raw"
     graph.interface(names.BLEND, "Bool", False, description=text)
     text = "Output one mesh, whose colours Solid view shows (Colour: Attribute); for small sets"
     graph.interface(names.SOLID_COLOUR, "Bool", False, description=text)

@@ -32,7 +32,7 @@ class TG4MM_view(bpy.types.PropertyGroup):
     )
     legend: BoolProperty(  # type: ignore[valid-type]
         name="Legend in the View",
-        description="Show what the colours mean in the lower left corner of the 3D view, with its overlays",
+        description="Show a legend of the colours in the lower left corner of the 3D view, with its overlays",
         default=True,
     )
 
