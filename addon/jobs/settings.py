@@ -151,8 +151,8 @@ class TG4MM_generate(bpy.types.PropertyGroup):
     then_train: props.BoolProperty(  # type: ignore[valid-type]
         name="Then Train", description="Train splats on the dataset when it is complete, and import them")
     in_blender: props.BoolProperty(  # type: ignore[valid-type]
-        name="This Blender", description="Render with this Blender instead of the core's: your version, but no truth per "
-        "pixel and no report")
+        name="This Blender", description="Render with this Blender instead of the core's: your version, but no truth "
+        "per pixel and no report")
     # fmt: on
 
 

@@ -134,7 +134,7 @@ class Filter(StrEnum):
     published = "published"
 
 
-class Method(StrEnum):
+class MagnificationMethod(StrEnum):
     """Methods of magnification (tg4mm/core/magnification.py)."""
 
     modal = "modal"
@@ -144,4 +144,4 @@ class Method(StrEnum):
 
 KINDS = tuple(kind.value for kind in Kind)
 FILTERS = tuple(kind.value for kind in Filter)
-METHODS = tuple(method.value for method in Method)
+METHODS = tuple(method.value for method in MagnificationMethod)

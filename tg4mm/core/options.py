@@ -13,7 +13,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tg4mm.core.choices import Filter, Method
+from tg4mm.core.choices import Filter, MagnificationMethod
 from tg4mm.core.digits import aligned
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.values import require
@@ -198,7 +198,7 @@ class MagnifyOptions:
     """Bands, method and filter of commands that magnify."""
 
     bands: tuple[Band | None, ...] = bands_option()
-    method: Method | None = option(
+    method: MagnificationMethod | None = option(
         None,
         "modal: scales the modes. linear: filters each Gaussian's motion over time. phase: shifts the phases of "
         "feature planes (presets paper and paper-tuned only). [default: modal; with the preset paper phase, with "
