@@ -1,7 +1,4 @@
-"""Motion magnified: exact factors, exact bands, rotations that are rotations.
-
-The animator for looking gives the poses of the exact one, from few fields where frequencies share them.
-"""
+"""Motion magnified: exact factors and bands, true rotations; the viewer's animator gives the same poses."""
 
 from dataclasses import replace
 

@@ -1,7 +1,4 @@
-"""What is found out before the fit: components of noise, weights of pixels, and the smoothness weight.
-
-The noise of every pixel, from the components of time that hold no motion.
-"""
+"""Before the fit: components that are noise, pixel weights from them, and the smoothness weight."""
 
 import warnings
 from dataclasses import fields, replace

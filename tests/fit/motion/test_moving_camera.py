@@ -1,7 +1,4 @@
-"""A camera that moves all the time: its poses are corrected, and the motion before it is found.
-
-Which part stands still: what a moving camera's own path says of it.
-"""
+"""A camera that moves all the time: its poses are corrected, motion before it is found, and what stands still."""
 
 from dataclasses import replace
 

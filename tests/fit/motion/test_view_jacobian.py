@@ -1,7 +1,4 @@
-"""The Jacobian of rendering: against differences of the dense twin in float64, and its transpose.
-
-How far a motion moves the Gaussians in the pictures.
-"""
+"""The Jacobian of rendering: against differences of the dense twin in float64, its transpose, motion in pixels."""
 
 from dataclasses import replace
 

@@ -1,7 +1,4 @@
-"""The call itself: what is refused, and what a CUDA tensor passes on to gsplat.
-
-The dense twin: its derivatives against finite differences, its formulas against independent ones.
-"""
+"""The call: what is refused, what a CUDA tensor passes to gsplat; the dense twin against finite differences."""
 
 import inspect
 import math

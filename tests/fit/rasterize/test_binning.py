@@ -1,7 +1,4 @@
-"""Depth order and tile lists against brute force: complete, tight, in order.
-
-The same bits for any number of threads and on every run, values and gradients.
-"""
+"""Depth order and tile lists against brute force: complete, tight, in order, with the same bits on every run."""
 
 from dataclasses import replace
 

@@ -1,7 +1,4 @@
-"""What the static Gaussians are fitted to: one mean picture per camera.
-
-The space stage and what a camera sees do not depend on the unit that a scene is in, nor on where it lies.
-"""
+"""The mean picture of each camera, and that the fit does not depend on the unit and the origin of a scene."""
 
 import json
 import re

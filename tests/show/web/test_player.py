@@ -1,7 +1,4 @@
-"""The page in a browser: its pictures are our rasteriser's, its controls work, it asks nothing of any network.
-
-Headless Chromium that draws in software. Skipped where there is none.
-"""
+"""The page in headless Chromium: our rasteriser's pictures, working controls, no use of the network."""
 
 import base64
 import io
