@@ -46,7 +46,7 @@ _IS_DEFAULT, _IS_COVER = 1, 1 << 10  # FFmpeg's AV_DISPOSITION_DEFAULT and _ATTA
 _WORTH = 5_000_000  # pixels that being the default is worth to ffmpeg where it chooses a stream
 _SLOWED = 1.5  # times the file's own rate, or its inverse, from which a capture rate counts,
 _HIGH_SPEED = 100  # and pictures a second: no camera takes that many by day and a part of them in the dark
-_LOST_S = 0.05  # of a video's beginning or end, that is said
+_LOST_S = 0.05  # of a video's beginning or end: more is reported
 
 _SUFFIXES = (".mp4", ".mov", ".m4v", ".3gp")
 _NORMAL = 1 << 16  # the speed of an edit, in 16.16 bits
@@ -327,7 +327,7 @@ def _filmed_at(path: Path, container: Any, rates: Sequence[Fraction]) -> float |
 
 
 def _lost_s(path: Path, stream: Any, first: Fraction) -> float:
-    """Seconds before the first picture that can be decoded, which a warning tells."""
+    """Return the seconds before the first picture that can be decoded, with a warning."""
     start = first if stream.start_time is None else stream.start_time * stream.time_base
     lost = max(float(first - start), 0.0)
     if lost > _LOST_S:
@@ -340,7 +340,7 @@ def _lost_s(path: Path, stream: Any, first: Fraction) -> float:
 def _resized(
     path: Path, size: tuple[int, int], frame: Any, time: Fraction | None, count: int
 ) -> CaptureError:
-    """time: None where no time tells the parts apart; count: of the frames before."""
+    """Return the error. time: None if no time separates the parts; count: of the frames before."""
     change = f"{path}: its pictures change from {size[0]}×{size[1]} to {frame.width}×{frame.height} pixels"
     if time is None:
         return CaptureError(

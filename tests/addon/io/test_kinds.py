@@ -66,7 +66,7 @@ def test_frequencies_that_were_lost_are_asked_for(extension, tmp_path):
     assert extension.nodes.scene.moves(import_splat(path, frequencies="3, 5, 7.5"))
     for text, told in (
         ("3, five", "'five' is none; expected numbers in Hz"),
-        ("3", "1 frequencies were said"),
+        ("3", "1 frequencies were given"),
     ):
         with pytest.raises(RuntimeError, match=told):
             bpy.ops.import_scene.tg4mm_splat(filepath=str(path), frequencies=text)

@@ -216,7 +216,7 @@ def static_segment(clip: Clip, survey: Survey, window: TimeWindow) -> StaticSegm
         return None
     first, stop = max(still, key=lambda run: times[run[1]] - times[run[0]])
     walks = [(a, b) for a, b in ((0, first), (stop, len(steps))) if b - a >= _FEWEST]
-    longer = max(survey.size)  # what an unlike picture goes by: all that it shows
+    longer = max(survey.size)  # the scale for a picture of something else
     walks = [w for w in walks if np.minimum(steps[slice(*w)], longer).sum() >= _WALK * longer]
     if not walks:
         return None

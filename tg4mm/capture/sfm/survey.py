@@ -38,7 +38,7 @@ from tg4mm.core.untrusted import JsonRecord, read_record
 BLACK = 16  # of 255: a frame whose brightest hundredth does not reach it shows nothing
 NOTHING = -1  # the part of such a frame
 FASTEST = 10**9  # frames a second
-_EVERY = 8  # pixels in each direction of which one tells the light
+_EVERY = 8  # pixels in each direction, of which one is read for the light
 
 
 @dataclass(frozen=True)
@@ -292,7 +292,7 @@ class _SurveyLook:
         """Return the duplicates; None if the file's clock is irregular, since such a file needs none."""
         if self._duplicates is None:
             return None
-        if info is None:  # its pictures have no times to keep: a pattern alone tells when they were taken
+        if info is None:  # without times only a pattern determines when pictures were taken
             return self._duplicates.found(irregular=False)
         is_regular_clock = times is not None and fps is not None and is_regular(times, fps, info.tick)
         return self._duplicates.found() if is_regular_clock else None

@@ -187,9 +187,9 @@ def _motion(
         return {}, 0
     if len(options.freqs_hz) != there or n_mode != 12 * there:
         raise SplatFileError(
-            f"{len(options.freqs_hz)} frequencies were said, and the file has {n_mode} mode properties, twelve a mode"
+            f"{len(options.freqs_hz)} frequencies were given, and the file has {n_mode} mode properties, twelve a mode"
         )
-    notes.append(f"frequencies as said: {', '.join(f'{f:g}' for f in options.freqs_hz)} Hz")
+    notes.append(f"frequencies as given: {', '.join(f'{f:g}' for f in options.freqs_hz)} Hz")
     frequencies = list(options.freqs_hz)
     slowest = min((f for f in frequencies if f > 0), default=options.fps)
     steps = max(1, round(options.fps / slowest)) if slowest else 1  # a period of the slowest

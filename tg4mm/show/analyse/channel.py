@@ -199,7 +199,7 @@ def _of_csv(path: Path) -> list[Channel]:
 
 
 def _resampling(own: np.ndarray, even: np.ndarray, rows: int) -> str:
-    """Return what is said of a column whose times are not even, or whose values lack in some of the rows."""
+    """Return the warning for a column with uneven times, or with values missing in some rows."""
     rate = (len(even) - 1) / float(np.ptp(even))
     lacks = f"{rows - len(own)} of {rows} values are missing" if len(own) < rows else "its times are not even"
     return (

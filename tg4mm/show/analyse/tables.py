@@ -262,7 +262,7 @@ def _decimal_mark(cells: list[str]) -> str | None:
 
 
 def _numbers(path: Path, body: list[tuple[int, list[str]]], cells: list[str], mark: str | None) -> np.ndarray:
-    """Return a column's numbers; mark: of decimals, None where nothing tells it."""
+    """Return a column's numbers; mark: of decimals; None if the table does not determine it."""
     mark = mark or ("," if any("," in cell for cell in cells) else ".")
     other = ".,".replace(mark, "")
     for k, cell in enumerate(cells):

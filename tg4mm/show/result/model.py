@@ -327,6 +327,6 @@ def drift_line(drifts: list[ModePeak], duration_s: float) -> list[str]:
     """A line on the strongest peak that is taken for a drift."""
     return [
         f"whether something vibrates at {with_deviation(Length(v.hz, v.deviation_hz))} Hz or drifts: the record holds "
-        f"{v.hz * duration_s:.2g} periods of it; a longer one tells"
+        f"{v.hz * duration_s:.2g} periods of it; a longer one decides"
         for v in drifts[:1]
     ]

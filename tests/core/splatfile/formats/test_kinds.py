@@ -355,7 +355,7 @@ def test_a_file_that_lost_its_frequencies_opens_still_or_with_those_that_are_sai
     kept = {"notes": (), "n_timesteps": splat.n_timesteps, "time_origin_s": splat.time_origin_s}
     assert_same(replace(said, **kept), splat)
     assert said.n_timesteps == round(30 / splat.freqs_hz.min())
-    with pytest.raises(SplatFileError, match="1 frequencies were said, and the file has 24 mode properties"):
+    with pytest.raises(SplatFileError, match="1 frequencies were given, and the file has 24 mode properties"):
         read_splat(path, freqs_hz=[5.0])
     with pytest.raises(SplatFileError, match=r"fps is 0; expected"):
         read_splat(path, freqs_hz=[5.0, 6.0], fps=0)

@@ -133,10 +133,10 @@ def orthonormal(courses: np.ndarray | None, gram: np.ndarray) -> np.ndarray:
 def kept_components(energy: np.ndarray, rank: int | None = None, pixels: float = 0.0, least: int = 1) -> int:
     """Return the number of components of falling `energy` [T] above rounding and noise, at least `least`.
 
-    Noise is alike in all components, but for those that are empty: one of the T, since the mean is taken out, and more
-    where pictures repeat (`rank` are not). So its level is that of the weakest quarter of the others. Fewer than seven
-    are no sample, and all but rounding is kept. How far chance lifts the strongest of noise over the weakest goes by
-    the number of `pixels` it is spread over (Marchenko & Pastur 1967); where that is not known, or few, twice is noise.
+    Noise has the same level in all components except empty ones: one of the T, since the mean is removed, and more if
+    pictures repeat (`rank` are not empty). So the level is the mean of the weakest quarter of the others. With fewer
+    than seven, everything above rounding is kept. The spread of noise over components depends on the number of `pixels`
+    (Marchenko & Pastur 1967); if that is unknown or small, twice the level counts as noise.
     """
     used = len(energy) - 1 if rank is None else rank
     floor = _RELATIVE_FLOOR * energy[0]
