@@ -33,7 +33,7 @@ class MotionConfig:
     smoothness_weight: float = setting(
         0.0, "weight of the prior that neighbours move alike; 0: found from the images"
     )
-    ridge: float = setting(1e-3, "weight that draws motion to zero where the images say nothing")
+    ridge: float = setting(1e-3, "weight that draws motion to zero where the images hold no information")
     iterations: int = setting(
         14,
         "largest number of iterations of conjugate gradients for each component, up to 16,000 Gaussians; "
@@ -42,12 +42,12 @@ class MotionConfig:
     )
     tolerance: float = setting(3e-3, "relative residual at which conjugate gradients stop")
     split_half: bool = setting(
-        True, "fit each half of the data by itself and keep what they agree on; needed for the uncertainty"
+        True, "fit the halves of the data separately, keep what they agree on; needed for the uncertainty"
     )
     gauss_newton: int = setting(
         4,
-        "largest number of Gauss-Newton iterations, made if 1 % of what is seen moves by more than 0.7 pixels, "
-        "with six cameras or more 0.35",
+        "largest number of Gauss-Newton iterations; used if 1 % of the visible scene moves by more than 0.7 pixels "
+        "(0.35 with six cameras or more)",
         "iterations",
     )
     appearance: bool = setting(
@@ -55,19 +55,19 @@ class MotionConfig:
     )
     sinusoids: bool = setting(
         True,
-        "fit a vibration that stands out of the noise as a sinusoid, not as principal components over time",
+        "fit a vibration that exceeds the noise as a sinusoid, not as principal components over time",
     )
     attenuation: bool = setting(
-        True, "make up for what least squares leaves out of the motion, by the other half of the pictures"
+        True, "correct the attenuation of least squares, estimated with the other half of the pictures"
     )
     nuisance: str = setting(
         "auto",
-        "what is removed from every frame: none; exposure (gain and offset); all (exposure and camera pose); "
-        "auto: what the pictures need",
+        "changes removed from every frame: none; exposure (gain and offset); all (exposure and camera pose); "
+        "auto: those that are detected",
     )
     band: str = setting(
         "",
-        "LOW HIGH: a frequency there is fitted even if none stands out; empty: what stands out alone",
+        "LOW HIGH: a frequency there is fitted even if none is detected; empty: detected ones only",
         "Hz",
     )
     region: str = setting(
@@ -77,8 +77,8 @@ class MotionConfig:
     )
     reduce: str = setting(
         "",
-        "a whole number: so many pixels along a side are averaged to one before the motion of fixed cameras is fitted; "
-        "1: none; empty: as many as a long recording of large pictures needs",
+        "a whole number k: squares of k × k pixels are averaged before the motion of fixed cameras is fitted; 1: none; "
+        "empty: chosen, above 1 for long recordings of large pictures",
         "pixels",
     )
     seed: int = setting(0, "seed of the random generator")

@@ -29,7 +29,7 @@ class SpaceConfig:
 
     iterations: int = setting(
         0,
-        "of one view each; 0: 150 · ∛(pixels that the object covers in a view), 1,000 … 30,000; half if levels > 1",
+        "number, each of one view; 0: 150 · ∛(pixels that the object covers in a view), 1,000 … 30,000; half if levels > 1",
         "iterations",
     )
     max_gaussians: int = setting(
@@ -54,11 +54,11 @@ class SpaceConfig:
         "where Gaussians start: points, hull, random, auto (the first of these that the data allow), or sfm (pycolmap)",
     )
     init_points: int = setting(
-        5_000, "at most; a fifth of it from the hull, a tenth at random places", "points"
+        5_000, "largest number at the start; a fifth of it from the hull, a tenth at random places", "points"
     )
     mask: str = setting(
         "",
-        "what counts in the pictures of the one fixed camera: a PNG's path (white), or a polygon X,Y X,Y X,Y …; "
+        "valid part of the one fixed camera's pictures: a PNG's path (white), or a polygon X,Y X,Y X,Y …; "
         "empty: everything",
     )
     seed: int = setting(0, "of random draws")
