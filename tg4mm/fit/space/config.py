@@ -29,11 +29,11 @@ class SpaceConfig:
 
     iterations: int = setting(
         0,
-        "number, each of one view; 0: 150 · ∛(pixels that the object covers in a view), 1,000 … 30,000; half if levels > 1",
+        "number, of one view each; 0: 150 · ∛(pixels of the object in a view), 1,000 … 30,000; half if levels > 1",
         "iterations",
     )
     max_gaussians: int = setting(
-        0, "largest number; 0: 200 · √(pixels that the object covers in a view), 2,000 … 500,000", "Gaussians"
+        0, "largest number; 0: 200 · √(pixels of the object in a view), 2,000 … 500,000", "Gaussians"
     )
     levels: int = setting(
         0,
