@@ -53,7 +53,7 @@ def world_to_camera(c2w: np.ndarray) -> np.ndarray:
 
 
 def read_pose(frame: JsonRecord, key: str = "transform_matrix") -> np.ndarray:
-    """The frame's camera-to-world [4, 4] float64, rigid, its rotation the one nearest to what is written."""
+    """Read the frame's camera-to-world [4, 4] float64, rigid, with the rotation nearest to the one in the file."""
     if key not in frame.values:
         raise frame.error(key, "a 4×4 camera-to-world matrix")
     rows = frame.values[key]

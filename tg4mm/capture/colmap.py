@@ -98,7 +98,7 @@ def _guarded(path: Path, reader: Callable[[Path], T]) -> T:
 
 
 def _pose(where: str, quaternion: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """Return [4, 4] of COLMAP's (w, x, y, z) and translation; refuses what is not finite, and no rotation."""
+    """Return [4, 4] of COLMAP's (w, x, y, z) and translation; refuses values that are not finite, or no rotation."""
     norm = float(np.linalg.norm(quaternion))
     if not np.isfinite([norm, *translation]).all() or abs(norm - 1) > 1e-3:
         numbers = [round(float(x), 4) for x in (*quaternion, *translation)]

@@ -54,7 +54,7 @@ def frame_of(path: Path) -> tuple[Path, int] | None:
 
 
 def index_of(video: Path) -> Index:
-    """Read from the container alone, nothing decoded. Raises CaptureError for what is no video."""
+    """Read from the container alone, without decoding. Raises CaptureError if it is not a video."""
     state = video.stat()
     return _index(video, state.st_size, state.st_mtime_ns)
 

@@ -235,7 +235,7 @@ class FilePictures:
 
 @dataclass(frozen=True)
 class MaskedPictures:
-    """Fixed cameras' pictures; what is masked stays as it is in the first of each camera's."""
+    """Pictures of fixed cameras, whose masked pixels stay as in each camera's first picture."""
 
     pictures: Pictures
     masks: np.ndarray  # [V, H, W] bool

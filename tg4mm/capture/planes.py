@@ -59,7 +59,7 @@ def orientation_of(frame: Any) -> Orientation:
 
 
 def say_what_it_is(path: Path, frame: Any) -> None:
-    """A warning of each file whose pictures are not what others are."""
+    """Warn once of a file with unusual pictures: interlaced or HDR."""
     text, hdr = "", _HDR.get(int(frame.color_trc))
     if frame.interlaced_frame:
         text = (

@@ -265,7 +265,7 @@ def _times(root: Path, views: list[TransformsFrame], fps: float, n_timesteps: in
 
 
 def whole_dataset(folder: Path) -> tuple[Path, str] | None:
-    """The dataset that `folder` lies in, and what it is of it, for a message; None for any other folder.
+    """Return the dataset around `folder` and the folder's part in it, for a message; None for any other folder.
 
     Paths are absolute: what is meant is often the current folder.
     """

@@ -108,7 +108,7 @@ def _metavar(kind: Any, spelling: Spelling) -> str | None:
 
 
 def _shown(default: Any, spelling: Spelling) -> str:
-    """The default as --help shows it; "" where the text names it, and for what is off or not given."""
+    """Return the default as --help shows it; "" if the text names it, or if the option is off or not given."""
     if "[default:" in spelling.about or default is None or default == () or default is False or default == "":
         return ""
     if default is True:

@@ -114,7 +114,7 @@ def _key(key: Any, where: str) -> str:
 
 
 def temporary_name(path: Path, suffix: str = "") -> Path:
-    """A name beside `path` that no reader takes for data. suffix: what it ends in, for writers that go by that."""
+    """Return a name beside `path` that no reader takes for data, ending in `suffix` for writers that need it."""
     return path.with_name(f".{path.name}.{_HOST}-{os.getpid()}.tmp{suffix}")
 
 

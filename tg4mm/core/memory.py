@@ -37,7 +37,7 @@ def peak_memory_mib() -> float:
 
 
 def reset_peak_memory() -> bool:
-    """Start the peak anew from what is held now. False where the system has no such thing (not Linux)."""
+    """Reset the peak to the present memory. Return False if the system cannot (all but Linux)."""
     try:
         Path("/proc/self/clear_refs").write_text("5")
     except OSError:

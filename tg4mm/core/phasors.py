@@ -31,7 +31,7 @@ def main_direction(phasors: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def scale_top(values: np.ndarray, weights: np.ndarray | None = None, share: float = 0.995) -> float:
-    """A top for a colour scale: the value that `share` of the weight stays below, lest one outlier rule."""
+    """Return the top of a colour scale: the value that `share` of the weight stays below, robust to outliers."""
     flat = values.ravel()
     weight = np.ones(flat.shape) if weights is None else weights.ravel()
     order = np.argsort(flat)

@@ -130,7 +130,7 @@ class Scale:
 
     @property
     def reference_m(self) -> float:
-        """Metres per pixel in the middle of what was marked, the geometric mean of both directions."""
+        """Return metres per pixel in the middle of the marks, the geometric mean of both directions."""
         places = self.corners or [p for a, b, _ in self.lengths for p in (a, b)]
         x, y = np.mean(places, 0)
         return float(np.linalg.det(self.metres_at((x, y))) ** 0.5)

@@ -186,7 +186,7 @@ def _yaml_loader() -> Any:
 
 
 def _check_events(events: Iterable[Any]) -> None:
-    """Refuse tags and depth before anything is constructed: constructors trip over what a tag claims."""
+    """Refuse tags and depth before anything is constructed, since constructors trust tags."""
     depth = 0
     for event in events:
         if getattr(event, "tag", None):
@@ -277,7 +277,7 @@ class JsonRecord:
     values: dict[str, Any]
 
     def error(self, key: str, expected: str) -> CaptureError:
-        """CaptureError saying what `key` is and what it should be."""
+        """Return a CaptureError with the value of `key` and the expected one."""
         if key not in self.values:
             return CaptureError(f"{self.where}: {key} is missing; expected {expected}")
         return CaptureError(f"{self.where}: {key} is {shown(self.values[key])}; expected {expected}")

@@ -182,7 +182,7 @@ class FolderStep:
 
 
 def run_steps(folder: WorkFolder, record: Mapping[str, Any], steps: Sequence[FolderStep], say: Say) -> None:
-    """Do what is left of `steps` in a folder that was claimed with `record`, whose entry `done` holds what is done.
+    """Do the unfinished `steps` in a folder that was claimed with `record`, whose entry `done` lists finished ones.
 
     A step is done again where what it was asked for has changed, where its result is gone, and where a step that it
     reads was done again. A folder made of other input or with other options is kept as NAME_1, NAME_2 …, and reported;

@@ -84,7 +84,7 @@ class Work:
         return {key: self.settings[key] for key in SCENE_ONLY if key in self.settings}
 
     def forget(self) -> None:
-        """Remove what this call made: its input is refused, and another request takes no folder that it left."""
+        """Remove what this call made, since its input is refused and its folder would block another request."""
         if self.is_new:
             shutil.rmtree(self.folder)
         if self.made_out and not any(self.out.iterdir()):

@@ -50,7 +50,7 @@ def is_fixed(survey: Survey) -> bool:
 
 
 def stretches_of(survey: Survey, fixed: bool) -> Stretches:
-    """The faults of a recording and what lies between them; a camera that is not `fixed` may show anything."""
+    """Return the faults of a recording and the parts between them; without `fixed` any change of view is allowed."""
     black = survey.parts == NOTHING
     kinds = [(black, "is black"), (survey.frozen & ~black, "shows one frozen picture")]
     if fixed:
@@ -71,7 +71,7 @@ def stretches_of(survey: Survey, fixed: bool) -> Stretches:
 
 
 def check_usable(surveys: Iterable[Survey], fixed: bool) -> None:
-    """Raise CaptureError, with what to use instead, for a recording of which a part is spoilt, or that is too short.
+    """Raise CaptureError, naming the usable part, for a recording that is partly spoilt or too short.
 
     fixed: whether its camera has to stay put.
     """

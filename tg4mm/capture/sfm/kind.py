@@ -29,7 +29,7 @@ _FEWEST = 6  # pictures of a walk
 
 
 def possible_kinds(sources: Sources) -> tuple[Kind, ...]:
-    """The kinds that what lies on disk can be, the most likely first."""
+    """Return the possible kinds of the files on disk, the most likely first."""
     if sources.photographs is not None:
         layout = "photographs"
     elif len(sources.clips) > 1:
@@ -134,7 +134,7 @@ def _check_as_long(surveys: Sequence[Survey]) -> None:
 
 
 def check_options(sources: Sources, config: SfmConfig) -> None:
-    """Options that what lies on disk has no use for."""
+    """Refuse options that do not apply to the files on disk."""
     if config.synchronous and not any(kind.together for kind in possible_kinds(sources)):
         raise Tg4mmError(
             f"--synchronous is for the cameras of a rig, but {sources.path} holds {described(sources)}"
@@ -165,7 +165,7 @@ def check_enough(sources: Sources) -> None:
 
 @dataclass(frozen=True)
 class Divided:
-    """One video as two: what is taken for the fixed camera, and for the sweep."""
+    """One video as two: the part of the fixed camera, and the sweep."""
 
     sources: Sources
     config: SfmConfig  # whose window is the part that stands

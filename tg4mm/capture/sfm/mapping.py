@@ -173,7 +173,7 @@ def as_pinholes(model: Any, threads: int) -> Any:
 
 
 def bend_px(camera: Any) -> float:
-    """The largest distance at the picture's corners and edges between what a camera and its pinhole see."""
+    """Return the largest distance, pixels at corners and edges, between a camera and its pinhole."""
     w, h = camera.width, camera.height
     pixels = np.array([(x * w, y * h) for x in (0, 0.5, 1) for y in (0, 0.5, 1) if (x, y) != (0.5, 0.5)])
     rays = np.asarray(camera.cam_from_img(pixels))

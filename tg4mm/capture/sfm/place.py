@@ -58,7 +58,7 @@ class Placement:
 
 
 def clock_of(surveys: Sequence[Survey], fps: float | None) -> FrameTimes:
-    """The recordings' times. fps: what was filmed at, None: as the containers say.
+    """Return the recordings' times. fps: rate at which they were filmed; None: that of the containers.
 
     Raises CaptureError where nothing says it, or where recordings disagree.
     """

@@ -76,7 +76,7 @@ class _Job:
 def reconstruct(
     images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: int = -1, name: str | None = None
 ) -> dict[str, Any]:
-    """Poses, sparse points and times of what lies in `images`, written to the folder `out` as a dataset.
+    """Find poses, sparse points and times for the input `images`, and write the folder `out` as a dataset.
 
     Goes on where it was stopped; where the input is refused nothing stays. threads: −1 for all cores; with 1 the
     result repeats bit for bit on one machine, with more only to the last digits. name: of the scene; None: the

@@ -52,7 +52,7 @@ class Sight:
 
     @property
     def ray(self) -> np.ndarray:
-        """Return [3] towards what the pixel shows, camera axes, z = 1."""
+        """Return the direction [3] of the pixel, camera axes, z = 1."""
         return np.append(np.asarray(self.camera.cam_from_img(self.pixel)).ravel()[:2], 1.0)
 
     @property

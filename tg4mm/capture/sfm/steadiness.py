@@ -93,7 +93,7 @@ class ShiftMeter:
         return (x + dx, y + dy, together) if alike >= ALIKE else _UNLIKE
 
     def _refined(self, smooth: np.ndarray, x: int, y: int) -> tuple[float, float, float, float]:
-        """The shift after (x, y) whole pixels, the share of blocks, and the correlation of what overlaps."""
+        """Return the shift after (x, y) whole pixels, the share of blocks, and the correlation of the overlap."""
         rows, columns = smooth.shape
         if min(rows - abs(y), columns - abs(x)) < 2 * self._block:
             return 0.0, 0.0, 0.0, 0.0
@@ -129,7 +129,7 @@ def _change(first: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _blocks(values: np.ndarray, size: int) -> np.ndarray:
-    """Sums over size × size pixels; what is left at the edges is not counted."""
+    """Return sums over size × size pixels; incomplete squares at the edges are dropped."""
     rows, columns = (n // size for n in values.shape)
     return values[: rows * size, : columns * size].reshape(rows, size, columns, size).sum(axis=(1, 3))
 
@@ -376,7 +376,7 @@ def _block_changes(grey: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _unlike(grey: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The same, less what a gain and an offset of each block explain."""
+    """Return the same, without the gain and the offset of each block."""
     a, b = (_in_blocks(g).astype(np.float32) for g in (grey, other))
     a, b = a - a.mean(2, keepdims=True), b - b.mean(2, keepdims=True)
     gain = (a * b).sum(2, keepdims=True) / np.maximum((b * b).sum(2, keepdims=True), 1e-6)

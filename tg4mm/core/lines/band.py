@@ -125,7 +125,7 @@ def _at_each(
 
 
 def _above(t: np.ndarray, y: np.ndarray, high: float) -> float:
-    """Variance of the samples by what lies above the band, as if all frequencies had it alike."""
+    """Return the variance of the samples from motion above the band, as if it were white."""
     duration = float(np.ptp(t)) * len(t) / (len(t) - 1)
     slow = np.arange(int(high * duration) + 3) * np.pi * (t - t.min())[:, None] / float(np.ptp(t))
     columns = np.cos(slow)[:, : max(len(t) // 2, 1)]  # half periods: what goes on beyond the record's ends

@@ -186,7 +186,7 @@ def _with_next(record: Record, shapes: list[LineShape]) -> list[LineShape] | Non
 
 
 def _explains(record: Record, shapes: list[LineShape], shape: LineShape, tried: float) -> bool:
-    """Return whether a line stands out of what it leaves: its own side lobes may be all that there is besides."""
+    """Return whether a line exceeds its residual, which may consist of its own side lobes."""
     more = refined([*shapes, shape], record.t, record.y, record.ends)
     phasors, residual = solved(more, record.t, record.y)
     levels, width = record.levels(more, residual), 2 * record.y.shape[1]

@@ -183,7 +183,7 @@ class Record:
         return replace(self, y=self.y @ self.back @ forth, back=np.linalg.inv(forth))
 
     def levels(self, shapes: Sequence[LineShape], residual: np.ndarray) -> np.ndarray:
-        """Return [F, D] variance of the noise around each bin, by what is left there."""
+        """Return the variance [F, D] of the noise around each bin, from the residual."""
         power = np.abs(spectra(residual, self.t)) ** 2
         taken = np.zeros(len(power))
         for s in shapes:
@@ -268,7 +268,7 @@ def _change(s: LineShape, free: tuple[float, float]) -> str:
 
 
 def _whitening(y: np.ndarray, t: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Return [D, D] that makes the components' noise alike: by what they share away from the strongest bins."""
+    """Return [D, D] that whitens the components' noise, estimated away from the strongest bins."""
     spectrum = spectra(y, t)
     scatter = np.sqrt(np.median(np.abs(spectrum) ** 2, axis=0) / np.log(2))
     scatter = np.maximum(np.maximum(scatter, noise), 1e-9 * np.sqrt((y**2).mean()) + 1e-300)

@@ -67,7 +67,7 @@ _COLOURS = 32  # steps of a waterfall's colours
 def chart(
     draw: Callable[[Any], None], label: str, size: tuple[float, float] = (5.4, 3.3), zooms: bool = False
 ) -> Markup:
-    """An inline SVG of what `draw` puts on a matplotlib axes, `size` in inches.
+    """Return an inline SVG of matplotlib axes on which `draw` has drawn, `size` in inches.
 
     `label` says what it shows to those who do not see it; `zooms`: with its numbers, which a page's script draws anew.
     """
@@ -91,7 +91,7 @@ def chart(
 
 
 def _inline(text: str, label: str) -> Markup:
-    """The drawing alone, without what belongs to a file of its own; names do not clash with another chart's."""
+    """Return the drawing without the parts of a separate file, with names that no other chart uses."""
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", text, flags=re.S)
     used = set(re.findall(r"(?:url\(|href=\")#([^)\"]+)", text))

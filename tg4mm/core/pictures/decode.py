@@ -153,7 +153,7 @@ def page_count(path: Path) -> int:
 
 
 def decode_pages(path: Path) -> Iterator[np.ndarray]:
-    """Pages [H, W, 4] of a TIFF, uint8 or uint16, straight alpha. ValueError for what is not read."""
+    """Yield pages [H, W, 4] of a TIFF, uint8 or uint16, straight alpha. Raises ValueError for unread kinds."""
     with opened(path) as image:
         for page in range(image.n_frames):
             image.seek(page)

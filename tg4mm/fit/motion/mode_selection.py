@@ -102,6 +102,6 @@ def worth_keeping(motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
 
 
 def _typical_power(noise: np.ndarray) -> float:
-    """Mean square of noise [N], stray Gaussians held to what the others have."""
+    """Return the mean square of noise [N], with stray Gaussians limited to the level of the others."""
     usual = np.minimum(noise, np.percentile(noise, _STRAY)).astype(np.float64)
     return float((usual**2).mean())

@@ -271,7 +271,7 @@ def _unknown_direction(estimate: MotionEstimate, covariance: np.ndarray, n_times
 def _along_viewing_rays(
     estimate: MotionEstimate, covariance: np.ndarray, n_timesteps: int
 ) -> tuple[dict[str, np.ndarray], float]:
-    """Deviations [N] along the line of sight and across it, and what part of the motion along it is a guess.
+    """Return deviations [N] along and across the line of sight, and the guessed part of the motion along it.
 
     That is the variance of what is not known over that of the motion: what was found, squared, and what is not known.
     Gaussians that are seen count by their opacity.

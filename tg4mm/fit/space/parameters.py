@@ -87,7 +87,7 @@ class ParameterRows(ABC):
         """Adam's state by name: `<name>.m`, `<name>.v`, and `step`. Empty before the first step."""
 
     def replace(self, gone: Tensor, added: dict[str, Tensor]) -> None:
-        """Put `added`, whose moments start at zero, where the rows `gone` (indices) were, what is over at the end.
+        """Put `added`, with zero moments, into the rows `gone` (indices), and the remaining ones at the end.
 
         Where fewer are added, the rows that stay close up.
         """
@@ -101,7 +101,7 @@ class ParameterRows(ABC):
         self._select(rows[stays], added)
 
     def reorder(self, order: Tensor) -> None:
-        """Row i becomes what row order[i] was."""
+        """Sort the rows: row i becomes the former row order[i]."""
         self._select(order, {name: p[:0].detach() for name, p in self.parameters.items()})
 
     def _select(self, rows: Tensor, added: dict[str, Tensor]) -> None:

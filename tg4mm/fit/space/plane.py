@@ -136,7 +136,7 @@ def _coarsest(shape: tuple[int, ...], budget: int) -> int:
 
 
 def _backdrop(picture: np.ndarray, side: int) -> Squares:
-    """A regular grid from one edge of the picture to the other, over which it reaches, coloured by what lies below."""
+    """Return a regular grid that extends over the edges of the picture, in the colours below."""
     height, width = picture.shape[:2]
     rows, columns = (side * np.arange(-(-n // side) + 1) for n in (height, width))
     v, u = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))

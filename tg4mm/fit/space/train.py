@@ -195,7 +195,7 @@ def _iterate(fit: _Fit, views: _Views, config: SpaceConfig, level: Level, extent
 
 @dataclass(frozen=True)
 class SpaceFit:
-    """The static Gaussians of a scene, on the CPU, and what is known of their fit."""
+    """The static Gaussians of a scene, on the CPU, and figures of their fit."""
 
     gaussians: Gaussians
     # seconds, peak_memory_mib, n_gaussians, iterations, psnr_train (dB, running mean of the last views), init (where

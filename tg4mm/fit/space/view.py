@@ -32,7 +32,7 @@ def near_plane(means: Tensor | np.ndarray, viewmat: Tensor | np.ndarray) -> floa
 
 
 def drawn_from(means: Tensor, viewmat: Tensor) -> tuple[Tensor, float]:
-    """Means [N, 3] and the near plane that a rasteriser takes them with: what is nearer than `near_plane` is not drawn.
+    """Return means [N, 3] and near plane for a rasteriser, so that nothing nearer than `near_plane` is drawn.
 
     To ask a GPU for that plane would be to wait for it: there, what is nearer goes behind the camera.
     """

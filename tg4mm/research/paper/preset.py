@@ -174,7 +174,7 @@ def _make(
 
 
 def _finished(file: Path, shape: tuple[int, int, int]) -> list[int]:
-    """Checksums of the channels that are finished; [] where there is no file, or it is not what they were taken of."""
+    """Return the checksums of finished channels; [] without a file, or if they belong to another one."""
     try:
         checksums = read_formed(file.with_suffix(".json"), {"checksums": [int]})["checksums"]
         if file.stat().st_size != 4 * int(np.prod(shape)) or len(checksums) > shape[0]:
@@ -197,7 +197,7 @@ def at_points(video: np.ndarray, cells: TouchedCells, k: int) -> np.ndarray:
 
 
 def _prune(folder: Path, keep: Path) -> None:
-    """Remove all but the latest, and what killed jobs of other requests have left."""
+    """Remove all but the latest, and files of killed jobs of other requests."""
     for suffix in (".f32", ".part"):
         files = sorted(folder.glob(f"*{suffix}"), key=lambda f: f.stat().st_mtime, reverse=True)
         for file in files[_KEPT:]:

@@ -265,7 +265,7 @@ def _column(text: str) -> tuple[str, str]:
 
 
 def _even(times: np.ndarray, values: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times and values [T, ...] with even steps; what lacks is interpolated."""
+    """Return times and values [T, ...] with even steps; missing ones are interpolated."""
     if len(times) < FEWEST:
         raise AnalyseError(f"{what}: {len(times)} samples, expected {FEWEST} or more")
     if (even := unrounded(times)) is not None:

@@ -210,7 +210,7 @@ def _is_of_units(row: list[str]) -> bool:
 
 
 def _kind_of(cells: Sequence[str]) -> str:
-    """Return what most of a column's cells hold: number, clock (times of day), text, or empty."""
+    """Return the kind of most of a column's cells: number, clock (times of day), text, or empty."""
     own = [cell.strip() for cell in cells if not _is_missing(cell)]
     if not own:
         return "empty"

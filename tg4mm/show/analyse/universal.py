@@ -62,7 +62,7 @@ def waveforms(path: Path) -> list[TimeFunction]:
 
 
 def _sets(data: bytes) -> Iterator[tuple[str, list[str], bytes]]:
-    """Number, head lines and what follows them, of all datasets."""
+    """Yield number, head lines and content of each dataset."""
     at = 0
     while (mark := _MARK.search(data, at)) is not None:
         first, _, rest = data[mark.end() : mark.end() + (1 << 12)].partition(b"\n")

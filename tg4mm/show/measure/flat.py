@@ -89,7 +89,7 @@ def _parts(mask: np.ndarray) -> list[np.ndarray]:
 
 
 def uneven_share(shift: np.ndarray, parts: Sequence[np.ndarray], areas: Sequence[float]) -> float:
-    """Return by what share of it a region's motion, shift [2, F, 3], differs from the mean over its area.
+    """Return the relative difference of a region's motion, shift [2, F, 3], from the mean over its area.
 
     Measured as one body, a region whose parts move differently moves as its most textured parts do. How much that is
     is known from its parts, shifts [2, F, 3] with their areas, but for what is uneven within each: an element of

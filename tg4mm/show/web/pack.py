@@ -141,7 +141,7 @@ class MotionFields:
 
 
 def motion_fields(motion: ModalMotion, tolerance: float = TOLERANCE) -> MotionFields:
-    """The motion's strongest fields; what is left out has an rms of at most `tolerance` of the motion's, each field.
+    """Return the motion's strongest fields; each omitted one has at most `tolerance` times the motion's rms.
 
     A motion that a fit found to have few components comes back with as many fields, whatever the number of its modes;
     parts that do not move are no field (`fields_of`).

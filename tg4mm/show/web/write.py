@@ -63,7 +63,7 @@ def export_html(run: Run, out: Path, most_bytes: int | None = None, regions: Pat
 
 
 def make_page(run: Run, most_bytes: int | None = None, regions: Path | None = None) -> PageValues:
-    """The scene and its numbers, of the whole page's size at most. Raises what `export_html` does of the run."""
+    """Return the scene and its arrays, at most as large as the page may be. Raises the errors of `export_html`."""
     shown = b"" if regions is None else regions.read_bytes()
     with progress("page", 4, unit="steps") as update:
         gaussians, motion = run.load_space(), run.load_motion()

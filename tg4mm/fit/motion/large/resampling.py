@@ -84,7 +84,7 @@ class StoredPictures:
 def put_back(
     pictures: Pictures, frames: PosedFrames, flow: np.ndarray, functions: np.ndarray
 ) -> StoredPictures:
-    """A fixed camera's F pictures in which what moves is put back to where it is at rest.
+    """Return a fixed camera's F pictures with moving parts resampled to their positions at rest.
 
     At time t a pixel shows what the picture has at the pixel plus Σ_r functions[r](t) flow[r]: flow [R, H, W, 2] in
     pixels right and down, functions [R, F] at the times of the pictures' middle rows. Each row has its own time.

@@ -141,7 +141,7 @@ def _coefficients(nuisance: Nuisance, shown: np.ndarray, residual: np.ndarray) -
 
 
 def _corrected(viewmat: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """The pose that shows what the scene would show if it moved rigidly by n about the camera (`rigid_fields`)."""
+    """Return the pose from which the scene looks as if it had moved rigidly by n about the camera (`rigid_fields`)."""
     out = viewmat.astype(np.float64).copy()
     rotation = Rotation.from_rotvec(n[:3]).as_matrix()  # camera axes
     out[:3] = rotation @ out[:3]
@@ -150,7 +150,7 @@ def _corrected(viewmat: np.ndarray, n: np.ndarray) -> np.ndarray:
 
 
 def _apart(a: PosedFrames, b: PosedFrames, means: np.ndarray, opacities: np.ndarray) -> float:
-    """Mean squared distance in pixels between what two poses make of the Gaussians before the camera."""
+    """Return the mean squared distance in pixels between the Gaussians as seen from two poses."""
     pixels = []
     for frame in (a, b):
         x = means @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3]
@@ -173,7 +173,7 @@ class FieldReading:
 
 @dataclass(frozen=True)
 class _Line:
-    """The path's Fourier coefficient at a frequency, as a motion of the scene, and what it is elsewhere."""
+    """The path's Fourier coefficient at a frequency, as a motion of the scene, and those at other frequencies."""
 
     value: np.ndarray  # [6] complex
     # [6, 6] complex, inverse of the sum of products of so many independent coefficients around it

@@ -85,7 +85,7 @@ class TemporalModel(ABC):
         """
 
     def ground_squares(self) -> np.ndarray | None:
-        """Return [N] squares of the fields' error by not knowing what stands still; None: that is no question."""
+        """Return squares [N] of the fields' error from not knowing what stands still; None if that is known."""
         return None
 
     @abstractmethod

@@ -67,7 +67,7 @@ class Frequencies:
 
 @dataclass(frozen=True)
 class _Record:
-    """The series of one clock, without what is slower than the lowest frequency."""
+    """Return the series of one clock, without motion below the lowest frequency."""
 
     y: np.ndarray  # [F, S]
     times_s: np.ndarray  # [F]
@@ -339,7 +339,7 @@ class SinusoidalModel(TemporalModel):
         )
 
     def fix_gauge(self, folds: np.ndarray) -> np.ndarray:
-        """Fields [P, 2K, N, 6], whose gauge is fixed: what the cameras leave open is chosen."""
+        """Return fields [P, 2K, N, 6] with a fixed gauge, which the cameras do not determine."""
         return folds
 
     def pixels_moved(self, fields: np.ndarray) -> float:

@@ -226,7 +226,7 @@ class Synchronous(TemporalModel):
 def principal_components(
     observations: Observations, sums: PictureSums, nuisances: Sequence[Nuisance], config: MotionConfig
 ) -> TargetImages:
-    """Time courses of vibrations, and principal components of what the changes of all synchronous cameras hold besides.
+    """Time courses of vibrations, and principal components of the remaining changes of all synchronous cameras.
 
     The courses are known (`Observations.time_courses`) or sinusoids that stand out of the noise. A vibration of a small
     part of a large picture is no principal component: there the noise of all pixels is stronger. Of the components
