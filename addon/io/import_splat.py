@@ -149,6 +149,7 @@ def _load_sequence(
     if splat is not None:
         obj = scene.make_objects([splat], [sequence.name_of(frames)], collection)[0]
         message = f"{len(frames)} frames of {len(splat):,} Gaussians, as {splat.n_modes} modes"
+        message = "; ".join([message, *splat.notes])
     else:
         obj, most = scene.make_sequence(frames, sequence.name_of(frames), collection, read)
         message = f"{len(frames)} frames of up to {most:,} Gaussians"

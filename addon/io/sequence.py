@@ -11,9 +11,12 @@ from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import SplatFile
 from tg4mm.core.splatfile.read import ENDINGS
 
+from ..nodes.colours import C0
+
 # Files share their Gaussians if sizes, colours and opacities differ, rms over the Gaussians, by less than this part of
 # what they differ by among each other. In another order it is the square root of 2.
 ALIKE, LEAST = 0.1, 1e-3
+SEEN = 1 / 255  # a change of opacity, colour or (as a part) size that a picture of 8 bits may show
 # Modes are kept until they hold this part of the motion's power: what is left is a hundredth of the motion. With fewer
 # than ENOUGH, three hundredths, the files are played.
 WHOLE, ENOUGH = 1 - 1e-4, 1 - 1e-3
@@ -89,13 +92,15 @@ def as_motion(splats: Iterable[SplatFile], count: int, fps: float) -> SplatFile 
 
     At timestep t it is frame t, but for a hundredth of the motion; after the last comes the first. `count`: of frames;
     `fps`: Hz. None where counts, sizes, colours or opacities differ, where nothing moves, or with too many modes.
+    Sizes, colours and opacities stay those of the first frame; a note says which of them change visibly.
     """
     first, means, quats = None, np.empty(0, np.float32), np.empty(0, np.float32)
+    changes: dict[str, float] = {}
     for t, splat in enumerate(splats):
         if first is None:
             first = splat
             means, quats = (np.empty((count, len(first), width), np.float32) for width in (3, 4))
-        if not _share(first, splat):
+        if not _share(first, splat, changes):
             return None
         means[t], quats[t] = splat.means, splat.quats
     if first is None or count < 2:
@@ -121,20 +126,27 @@ def as_motion(splats: Iterable[SplatFile], count: int, fps: float) -> SplatFile 
         rotation=turned[kept],
         fps=fps,
         n_timesteps=count,
-        notes=(),
+        notes=tuple(
+            f"{name} stay as in the first file, though they change by up to {change:.0%}: without Find Motion they play"
+            for name, change in changes.items()
+            if change > SEEN
+        ),
     )
 
 
-def _share(a: SplatFile, b: SplatFile) -> bool:
+def _share(a: SplatFile, b: SplatFile, changes: dict[str, float]) -> bool:
+    """Return whether two frames hold the same Gaussians; raise `changes` to the largest change of each attribute."""
     if len(a) != len(b) or a.sh.shape != b.sh.shape:
         return False
-    for x, y in (
-        (a.opacities, b.opacities),
-        (np.log(np.maximum(a.scales, 1e-12)), np.log(np.maximum(b.scales, 1e-12))),
-        (a.sh[:, 0], b.sh[:, 0]),
+    for name, unit, x, y in (
+        ("opacities", 1.0, a.opacities, b.opacities),
+        ("sizes", 1.0, np.log(np.maximum(a.scales, 1e-12)), np.log(np.maximum(b.scales, 1e-12))),
+        ("colours", C0, a.sh, b.sh),
     ):
-        if np.sqrt(((x - y) ** 2).mean(axis=0)).max() > ALIKE * x.std(axis=0).max() + LEAST:
+        change = np.abs(x - y)
+        if np.sqrt((change**2).mean(axis=0)).max() > ALIKE * x.std(axis=0).max() + LEAST:
             return False
+        changes[name] = max(changes.get(name, 0.0), unit * float(change.max(initial=0.0)))
     return True
 
 
