@@ -41,21 +41,22 @@ def least_opacity(draw: str) -> str:
 
 def main_points(mesh: Any) -> np.ndarray:
     """[n, 3] float64 positions of the opaque Gaussians, evenly picked of many; all where none is opaque."""
-    places, solid = values(mesh, "position"), values(mesh, names.OPACITY) >= OPAQUE
-    chosen = places[solid if solid.any() else slice(None)]
-    return chosen[:: max(1, len(chosen) // MOST)].astype(np.float64)
+    places, solid = values(mesh, "position"), np.flatnonzero(values(mesh, names.OPACITY) >= OPAQUE)
+    chosen = solid if len(solid) else np.arange(len(places))
+    return places[chosen[:: max(1, len(chosen) // MOST)]].astype(np.float64)
 
 
 def outliers(mesh: Any) -> np.ndarray:
     """[N] bool: Gaussians so far from the opaque ones that positions of all become coarse; none where they are not."""
-    places = values(mesh, "position").astype(np.float64)
+    places = values(mesh, "position")
     middle, size, span = _extent(mesh, places)
     return (np.abs(places - middle).max(axis=1, initial=0.0) > FARTHEST / 2 * size) & (span > FARTHEST)
 
 
 def far_out(mesh: Any) -> tuple[int, float]:
     """Return the number of outliers, and the total extent as a multiple of the size without them."""
-    return int(outliers(mesh).sum()), _extent(mesh, values(mesh, "position").astype(np.float64))[2]
+    span = _extent(mesh, values(mesh, "position"))[2]
+    return (int(outliers(mesh).sum()) if span > FARTHEST else 0), span
 
 
 def _extent(mesh: Any, places: np.ndarray) -> tuple[np.ndarray, float, float]:
@@ -64,4 +65,4 @@ def _extent(mesh: Any, places: np.ndarray) -> tuple[np.ndarray, float, float]:
         return np.zeros(3), 1.0, 0.0
     low, high = np.percentile(main_points(mesh), ENDS, axis=0)
     size = float((high - low).max()) or 1.0
-    return (low + high) / 2, size, float(np.ptp(places, axis=0).max()) / size
+    return (low + high) / 2, size, max(float(np.ptp(axis)) for axis in places.T) / size

@@ -78,6 +78,13 @@ def gaussians(mesh: Any) -> np.ndarray:
     return numbers == 0
 
 
+def _rows_of_gaussians(mesh: Any) -> slice | np.ndarray:
+    """Return `gaussians`, as a slice, which copies nothing, where the references are the last four as imported."""
+    mask = gaussians(mesh)
+    last = len(mask) - 4
+    return slice(0, last) if last >= 0 and mask[:last].all() and not mask[last:].any() else mask
+
+
 def values(mesh: Any, name: str) -> np.ndarray:
     """[N] or [N, width] float32 of an attribute ("position" too) of the N Gaussians of a mesh, without the references.
 
@@ -88,7 +95,7 @@ def values(mesh: Any, name: str) -> np.ndarray:
     field, width = _FIELDS[found.data_type]
     rows = np.empty(width * len(mesh.vertices), np.float32)
     found.data.foreach_get(field, rows)
-    return (rows if width == 1 else rows.reshape(-1, width))[gaussians(mesh)]
+    return (rows if width == 1 else rows.reshape(-1, width))[_rows_of_gaussians(mesh)]
 
 
 def world(obj: Any, mesh: Any) -> np.ndarray:
@@ -183,10 +190,12 @@ def native_attributes(splat: SplatFile) -> dict[str, np.ndarray]:
     Blender's own import writes the first as FLOAT4. It draws FLOAT_COLOR alike, which nodes can write too."""
     base = np.concatenate([splat.sh[:, 0], splat.opacities[:, None]], axis=1)
     n, count = splat.sh.shape[:2]
-    further = np.empty((count - 1, n, 3), np.float32)
-    for start in range(0, n, IN_CACHE):  # one pass over the file's order, not one for each coefficient
-        rows = slice(start, start + IN_CACHE)
-        further[:, rows] = splat.sh[rows, 1:].transpose(1, 0, 2)
+    further = splat.sh[:, 1:].transpose(1, 0, 2)  # a PLY is read in this order
+    if not further.flags.c_contiguous:
+        further = np.empty((count - 1, n, 3), np.float32)
+        for start in range(0, n, IN_CACHE):  # one pass over the file's order, not one for each coefficient
+            rows = slice(start, start + IN_CACHE)
+            further[:, rows] = splat.sh[rows, 1:].transpose(1, 0, 2)
     return {names.NATIVE_BASE: base} | {names.native_sh(k): further[k - 1] for k in range(1, count)}
 
 
@@ -198,8 +207,7 @@ def drawable_scales(scales: np.ndarray) -> np.ndarray:
 
 def main_axis(phasors: np.ndarray) -> np.ndarray:
     """Return the unit vector [3] of largest motion of phasors [N, 3]; its largest component is positive."""
-    re, im = phasors.real.astype(np.float64), phasors.imag.astype(np.float64)
-    axis = np.linalg.eigh(re.T @ re + im.T @ im)[1][:, -1]
+    axis = np.linalg.eigh((phasors.T @ phasors.conj()).real.astype(np.float64))[1][:, -1]
     return axis * np.sign(axis[np.argmax(np.abs(axis))])
 
 
@@ -236,7 +244,8 @@ class _Rows:
 
     def finish(self, places: np.ndarray, references: np.ndarray, modes: int) -> None:
         """Set all positions and deselect all vertices, because the probe reads the user's selection."""
-        self.mesh.vertices.foreach_set("co", self._flat(places, references))
+        # As attributes: `vertices.foreach_set` goes through them one by one.
+        self.mesh.attributes["position"].data.foreach_set("vector", self._flat(places, references))
         if self.extra:
             for name, data_type, field, of_each in (  # Blender makes new attributes 0
                 (names.REFERENCE_REST, "FLOAT_VECTOR", "vector", references),
@@ -246,7 +255,8 @@ class _Rows:
                 data = self.mesh.attributes.new(name, data_type, "POINT").data
                 for i, value in enumerate(of_each, self.count):
                     setattr(data[i], field, value)
-        self.mesh.vertices.foreach_set("select", np.zeros(self.count + self.extra, bool))
+        if (selected := self.mesh.attributes.get(".select_vert")) is not None:  # new vertices are selected
+            self.mesh.attributes.remove(selected)
         self.mesh.update()
 
     def _flat(self, rows: np.ndarray, other: Any) -> np.ndarray:

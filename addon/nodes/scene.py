@@ -162,10 +162,10 @@ def most_displaced(obj: Any, last: int, speed: float = 1.0) -> int:
     if turns_per_frame <= 0:
         return 1
     part = names.phasor(k)
-    re, im = (values(obj.data, part[name]).astype(np.float64) for name in ("re", "im"))
+    re, im = (values(obj.data, part[name]).ravel() for name in ("re", "im"))
     angle = 2 * np.pi * turns_per_frame * np.arange(min(last, math.ceil(0.5 / turns_per_frame) + 1))
     c, s = np.cos(angle), np.sin(angle)
-    power = c**2 * (re**2).sum() + s**2 * (im**2).sum() - 2 * c * s * (re * im).sum()
+    power = c**2 * float(re @ re) + s**2 * float(im @ im) - 2 * c * s * float(re @ im)
     return 1 + int(np.argmax(power >= (1 - 1e-6) * power.max()))
 
 

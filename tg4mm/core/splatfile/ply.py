@@ -40,6 +40,7 @@ _IGNORED = {
     *FILTER,
 }  # properties that need no note where they are not used
 _MOST_NAMED = 5  # properties
+_ENOUGH = 20_000  # Gaussians, for a median
 _FINE = 0.01  # of a Gaussian's median size, that float32 must tell at its place
 DEGREES = (*SH_COUNTS, 25)  # coefficients a channel, degree 0 to 4
 
@@ -213,7 +214,7 @@ def _read(file: BinaryIO, header: Header, vertex: Element, plan: PlyColumns) -> 
     quats = np.empty((n, 4), np.float32)
     logs, logits = np.full((n, 3), -np.inf, np.float32), np.empty(n, np.float32)
     smooth = np.zeros(n, np.float32) if plan.filter else None
-    sh = np.empty((n, k, 3), np.float32)
+    sh = np.empty((k, n, 3), np.float32).transpose(1, 0, 2)  # as Blender takes it
     displacement, rotation = (np.empty((m, n, 3), np.complex64) for _ in range(2))
     deviation = np.empty((m, n), np.float32) if plan.deviations else None
     start = 0
@@ -268,7 +269,8 @@ def _read(file: BinaryIO, header: Header, vertex: Element, plan: PlyColumns) -> 
 
 def _far_origin(means: np.ndarray, scales: np.ndarray) -> np.ndarray:
     """[3] whole units to take off places [N, 3] that float32 would round; zeros where it tells them."""
-    finite = means[np.isfinite(means).all(axis=1)]
+    some = slice(None, None, max(1, len(means) // _ENOUGH))
+    finite, scales = means[some][np.isfinite(means[some]).all(axis=1)], scales[some]
     if not len(finite):
         return np.zeros(3)
     centre, sizes = np.median(finite, axis=0), scales[np.isfinite(scales) & (scales > 0)]
