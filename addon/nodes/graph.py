@@ -191,7 +191,9 @@ class Graph:
     def arrange(self, column: int = 190, row: int = 170) -> None:
         """Lay the nodes out in columns: every node right of what it reads."""
         depth = {node.name: 0 for node in self.tree.nodes}
-        pairs = [(link.from_node.name, link.to_node.name) for link in self.tree.links]
+        made = {name: number for number, name in enumerate(depth)}  # mostly after what they read
+        links = ((link.from_node.name, link.to_node.name) for link in self.tree.links)
+        pairs = sorted(links, key=lambda pair: made[pair[1]])
         for _ in depth:
             changed = False
             for source, target in pairs:
