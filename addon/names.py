@@ -35,6 +35,7 @@ MARK, FPS, FREQUENCIES, TIMESTEPS = "tg4mm_version", "tg4mm_fps", "tg4mm_frequen
 FRAMES = "tg4mm_frames"  # of a sequence, the name of the collection that holds its frames
 # what the file says its scales hold of the training's low-pass; absent if nothing
 LOW_PASS = "tg4mm_low_pass_px2"
+LINEAR = "tg4mm_linear"
 UNIT_SCALE = "tg4mm_unit_scale_m"  # metres per scene unit; absent if unknown
 NOTES = "tg4mm_notes"  # what the import has to say about the object, lines
 AXES = "tg4mm_axes"  # what the import took for up, as in io/splats.py; absent: as in the file

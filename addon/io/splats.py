@@ -101,7 +101,8 @@ def now(splat: SplatFile, obj: Any, scene_: Any) -> SplatFile:
 def without_motion(splat: SplatFile) -> SplatFile:
     """Return the scene at rest, without modes."""
     rest = (splat.means, splat.quats, splat.scales, splat.opacities, splat.sh)
-    return replace(SplatFile.static(*rest, splat.unit_scale_m), low_pass_px2=splat.low_pass_px2)
+    still = SplatFile.static(*rest, splat.unit_scale_m)
+    return replace(still, low_pass_px2=splat.low_pass_px2, linear=splat.linear)
 
 
 def _shown_frame(obj: Any, count: int) -> int:
@@ -142,6 +143,7 @@ def _of_mesh(obj: Any, mesh: Any) -> SplatFile:
         time_origin_s=float(obj.get(names.TIME_ORIGIN, 0.0)),
         deviation=np.array([values(names.deviation(k)) for k in on]) if has_deviations else None,
         low_pass_px2=None if low_pass is None else float(low_pass),
+        linear=bool(obj.get(names.LINEAR)),
     )
 
 

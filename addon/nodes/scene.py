@@ -194,6 +194,8 @@ def _describe(obj: Any, splat: SplatFile) -> None:
         obj[names.TIME_ORIGIN] = splat.time_origin_s
     if splat.low_pass_px2 is not None:
         obj[names.LOW_PASS] = splat.low_pass_px2
+    if splat.linear:
+        obj[names.LINEAR] = True
     if splat.unit_scale_m is not None:
         obj[names.UNIT_SCALE] = splat.unit_scale_m
 

@@ -385,12 +385,13 @@ def export(options: ExportOptions) -> None:
     from tg4mm.show.web.write import export_html
 
     opened, baked = Run.open(options.run), options.low_pass is LowPass.baked
+    linear = options.low_pass is LowPass.linear
     if options.format is Format.ply:
-        export_ply(opened, options.out, baked)
+        export_ply(opened, options.out, baked, linear)
     elif options.format is Format.html:
         export_html(opened, options.out)
     elif options.is_at_rest:
-        export_spz(opened, options.out, baked)
+        export_spz(opened, options.out, baked, linear)
         _note("spz holds no motion: this is the scene at rest; a folder as --out takes a sequence")
     else:
         _export_magnified(opened, options, baked)
@@ -429,10 +430,12 @@ def _check_export(options: ExportOptions) -> None:
         formats = [one.value for one, names in _TAKEN.items() if all(name in names for name in wrong)]
         verb = "belongs" if len(wrong) == 1 else "belong"
         raise Tg4mmError(f"{' and '.join(wrong)} {verb} to --format {', '.join(formats)}; {reason}")
-    if o.format is Format.html and o.low_pass is LowPass.none:
+    if o.format is Format.html and o.low_pass is not LowPass.baked:
         raise Tg4mmError(
-            "--low-pass none: not for html, which applies the low-pass when drawing; leave it out"
+            f"--low-pass {o.low_pass.value}: not for html, which applies the low-pass when drawing; leave it out"
         )
+    if o.low_pass is LowPass.linear and o.format is not Format.ply and not o.is_at_rest:
+        raise Tg4mmError(f"--low-pass linear: for --format ply, or spz at rest, not for {o.format.value}")
     check_paired(o.alpha or [0.0], o.bands)
     _ = o.temporal_filter  # raises
 

@@ -40,6 +40,7 @@ class SplatFile:
     deviation: np.ndarray | None = None
     # of the training pictures' low-pass, what the scales hold; None: nothing said
     low_pass_px2: float | None = None
+    linear: bool = False  # fitted to viewers that blend in linear light (show/export/linear.py)
     notes: tuple[str, ...] = ()  # of a file that was read: what was left out or changed, a line each
 
     @classmethod
@@ -231,6 +232,7 @@ def parsed_frequencies(text: str) -> tuple[float, ...]:
     return tuple(found)
 
 
+LINEAR = "is fitted to viewers that blend in linear light, as Blender does: others show it too dark"
 ANTIALIASED = (
     "was trained anti-aliased, for renderers that fade what their low-pass widens: here, Gaussians that are small "
     "in the picture are too opaque"

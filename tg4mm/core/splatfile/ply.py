@@ -14,7 +14,7 @@ from tg4mm.core.errors import SplatFileError, system_says
 from tg4mm.core.files import replacing as replacing_file
 from tg4mm.core.splatfile import model, supersplat
 from tg4mm.core.splatfile.header import ASCII, Element, Header, blocks, check_size, columns, read_header
-from tg4mm.core.splatfile.model import ANTIALIASED, SH_COUNTS, Head, Options, SplatFile, drawable
+from tg4mm.core.splatfile.model import ANTIALIASED, LINEAR, SH_COUNTS, Head, Options, SplatFile, drawable
 
 MODE_NAME = re.compile(r"mode_[0-9]+_(re|im)_r?[xyz]")
 RGB = ("red", "green", "blue")
@@ -149,6 +149,8 @@ def _plan(names: dict[str, str], about: dict[str, Any] | None, options: Options)
     _check_floats(
         names, (*shape, *(colour if colour is not RGB else ()), *rest, *filter, *modes, *deviations)
     )
+    if about.get("blending") == "linear":
+        notes.append(LINEAR)
     return PlyColumns(colour, rest, scale, filter, m, deviations, about, tuple(notes))
 
 
@@ -288,6 +290,7 @@ def _said(about: dict[str, Any], m: int) -> dict[str, Any]:
     }
     for key in ("unit_scale_m", "low_pass_px2"):
         fields[key] = None if about.get(key) is None else float(about[key])
+    fields["linear"] = about.get("blending") == "linear"
     return fields | ({"freqs_hz": np.array(about["frequencies_hz"], np.float64)} if m else {})
 
 
@@ -362,6 +365,8 @@ def _header(splat: SplatFile) -> bytes:
     }
     if splat.low_pass_px2 is not None:
         about["low_pass_px2"] = splat.low_pass_px2
+    if splat.linear:
+        about["blending"] = "linear"
     lines = [
         "ply",
         "format binary_little_endian 1.0",

@@ -48,10 +48,10 @@ def export_gltf(run: Run, out: Path, plan: Magnification, low_pass: bool = True)
     return out
 
 
-def export_spz(run: Run, out: Path, low_pass: bool = True) -> Path:
+def export_spz(run: Run, out: Path, low_pass: bool = True, linear: bool = False) -> Path:
     """Write one .spz, the scene at rest. Raises Tg4mmError for an `out` that cannot be one."""
     check_file(out, ".spz", b"\x1f\x8b")
-    splat = splat_of(run, low_pass)
+    splat = splat_of(run, low_pass, linear)
     out.parent.mkdir(parents=True, exist_ok=True)
     with progress("writing", 1, "file", brief=True):
         write_spz(out, splat)

@@ -20,6 +20,7 @@ from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.mode_selection import worth_keeping
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
+from tg4mm.show.export.linear import fitted_to_linear
 from tg4mm.show.export.lowpass import BAKED_PX2, smoothing_of, widened
 from tg4mm.show.render.sequence import RenderRequest, pose_of, record
 from tg4mm.show.result.model import mode_deviations
@@ -89,14 +90,14 @@ def unit_scale_of(run: Run) -> float | None:
     return load_capture(run.dataset).unit_scale_m
 
 
-def export_ply(run: Run, out: Path, low_pass: bool = True) -> Path:
+def export_ply(run: Run, out: Path, low_pass: bool = True, linear: bool = False) -> Path:
     """Write the run as one splat file that any viewer opens at rest, and ours plays: `splat_of` says what it holds.
 
     Raises Tg4mmError for an `out` that is a folder, a file of another kind or named like one, RunError for a run
     without a space stage.
     """
     check_file(out, ".ply", b"ply")
-    splat = splat_of(run, low_pass)
+    splat = splat_of(run, low_pass, linear)
     out.parent.mkdir(parents=True, exist_ok=True)
     with progress("writing", 1, "file", brief=True):
         write_splat(out, splat)
@@ -120,14 +121,15 @@ def check_file(out: Path, suffix: str, magic: bytes) -> None:
         )
 
 
-def splat_of(run: Run, low_pass: bool = True) -> SplatFile:
+def splat_of(run: Run, low_pass: bool = True, linear: bool = False) -> SplatFile:
     """The run as one splat with its motion.
 
     Of a `paper` run it holds timestep 0 and, as phasors of all DFT bins (0 Hz for the mean offset from it), every
     timestep's position and rotation. Modes that hold nothing but noise are left out (`mode_selection.py`); the standard
     deviation of the others rides along where the run says it. Scales hold the low-pass (`lowpass.py`), or without
-    `low_pass` are as trained. Lost is what the decoder changes in scale, opacity and colour over time, and of a `modal`
-    run the light that changes. Raises RunError for a run without a space stage.
+    `low_pass` are as trained; with `linear` they, opacities and colours are fitted (`linear.py`). Lost is what the
+    decoder changes in scale, opacity and colour over time, and of a `modal` run the light that changes. Raises RunError
+    for a run without a space stage, and with `linear` for one without its dataset.
     """
     gaussians, motion = run.load_space(), run.load_motion()
     if motion is not None and run.preset == "modal":
@@ -135,6 +137,14 @@ def splat_of(run: Run, low_pass: bool = True) -> SplatFile:
     deviation = None
     if motion is not None:
         motion, deviation = _above_noise(motion, run)
+    if linear:
+        if not run.dataset.is_dir():
+            raise RunError(
+                f"{run.dataset}, the dataset, is gone: --low-pass linear fits to its cameras; use baked"
+            )
+        gaussians = fitted_to_linear(gaussians, load_capture(run.dataset))
+        splat = to_splat(gaussians, motion, unit_scale_of(run), deviation)
+        return replace(splat, low_pass_px2=BAKED_PX2, linear=True)
     return to_splat(gaussians, motion, unit_scale_of(run), deviation, smoothing_of(run) if low_pass else None)
 
 
