@@ -12,11 +12,12 @@ from tests.helpers.splat_files import parsed
 from tests.helpers.synthetic import moving_run
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
-from tg4mm.core.splatfile import read_splat
+from tg4mm.core.splatfile import read_splat, write_splat
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.rasterize import rasterization
+from tg4mm.show.export.linear import _View, fitted_to_linear
 from tg4mm.show.export.lowpass import BAKED_PX2, lacking, smoothing_of, smoothing_variance, widened
-from tg4mm.show.export.splat import export_ply, export_ply_sequence
+from tg4mm.show.export.splat import export_ply, export_ply_sequence, to_splat
 from tg4mm.show.render.sequence import RenderRequest
 
 EPS = 1e-6  # square pixels: a viewer without a low-pass
@@ -80,6 +81,27 @@ def test_from_close_up_a_run_and_its_exported_file_look_alike_and_training_views
             exported = picture(gaussians, file, *view, EPS)
             assert psnr(own, exported) > 45
             assert psnr(picture(gaussians, gaussians.scales, *view, 0.3), exported) < 40
+
+
+def test_fitted_to_linear_light_a_file_shows_there_what_was_trained(run, tmp_path, capsys):
+    capture, trained = load_capture(run.dataset), run.load_space()
+    wide = torch.tensor(widened(trained.scales.numpy(), smoothing_of(run)), dtype=torch.float32)
+
+    def apart(gaussians):  # in linear light, over all training cameras
+        views = [
+            _View.of(capture, row, trained) for row in np.unique(capture.camera_ids, return_index=True)[1]
+        ]
+        pairs = [(v.linear(gaussians, 0.5).numpy(), v.trained(trained, 0.5).numpy()) for v in views]
+        return np.mean([psnr(*pair) for pair in pairs])
+
+    fitted = fitted_to_linear(trained, capture, 100)
+    assert apart(fitted) > apart(replace(trained, scales=wide)) + 6
+    assert (fitted.means == trained.means).all()
+    write_splat(tmp_path / "a.ply", replace(to_splat(fitted, None), linear=True))
+    assert "linear light" in read_splat(tmp_path / "a.ply").notes[0]
+    words = f"export {run.path} --low-pass linear --format gltf --out {tmp_path / 'b.glb'}"
+    assert main(words.split()) == 2
+    assert "--low-pass linear: for --format ply, or spz at rest, not for gltf" in capsys.readouterr().err
 
 
 def psnr(a, b):

@@ -355,7 +355,7 @@ def _names(splat: SplatFile) -> list[str]:
 
 
 def _header(splat: SplatFile) -> bytes:
-    about = {
+    about: dict[str, Any] = {
         "format_version": model.FORMAT_VERSION,
         "fps": splat.fps or None,
         "n_timesteps": int(splat.n_timesteps),

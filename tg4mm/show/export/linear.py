@@ -54,7 +54,7 @@ def fitted_to_linear(gaussians: Gaussians, capture: Capture, iterations: int = I
                 wanted = view.trained(g, behind)
             loss = (view.linear(fitted, behind) - wanted).square().mean()
             optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss.backward()
             optimizer.step()
             for group in optimizer.param_groups:
                 group["lr"] *= _LAST ** (1 / iterations)
