@@ -30,18 +30,11 @@ def some_splat(n=23, freqs_hz=(3.0, 5.0, 7.5), degree=1):
         return (size * (rng.normal(size=(m, n, 3)) + 1j * rng.normal(size=(m, n, 3)))).astype(np.complex64)
 
     quats = rng.normal(size=(n, 4))
-    return SplatFile(
-        means=rng.normal(size=(n, 3)).astype(np.float32),
-        quats=(quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
-        scales=rng.uniform(0.01, 0.2, (n, 3)).astype(np.float32),
-        opacities=rng.uniform(0.0, 1.0, n).astype(np.float32),
-        sh=rng.normal(size=(n, (degree + 1) ** 2, 3)).astype(np.float32),
-        freqs_hz=np.array(freqs_hz, dtype=np.float64),
-        displacement=phasors(0.05),
-        rotation=phasors(0.1),
-        fps=24.0,
-        n_timesteps=48,
-    )
+    means, quats = rng.normal(size=(n, 3)), quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    scales, opacities = rng.uniform(0.01, 0.2, (n, 3)), rng.uniform(0.0, 1.0, n)
+    rest = (means, quats, scales, opacities, rng.normal(size=(n, (degree + 1) ** 2, 3)))
+    moving = (np.array(freqs_hz, dtype=np.float64), phasors(0.05), phasors(0.1))
+    return SplatFile(*(part.astype(np.float32) for part in rest), *moving, fps=24.0, n_timesteps=48)
 
 
 @pytest.fixture

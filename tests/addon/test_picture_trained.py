@@ -41,8 +41,7 @@ def smoothing(splat):
     viewmats = np.stack([viewmat(place) for place in places])
     ids = np.arange(len(turns))
     Ks = np.tile(K, (len(turns), 1, 1))
-    size = TRAINED, TRAINED
-    capture = Capture(HERE, "train", *size, 0.0, 1, viewmats, Ks, 0 * ids, ids, (HERE,) * 12)
+    capture = Capture(HERE, "train", TRAINED, TRAINED, 0.0, 1, viewmats, Ks, 0 * ids, ids, (HERE,) * 12)
     variance = smoothing_variance(splat.means.astype(np.float64), capture)
     nearest = (splat.means @ viewmats[:, 2, :3].T + viewmats[:, 2, 3]).min(axis=1)  # of the cameras, by depth
     assert np.median(variance) == pytest.approx(0.3 * np.median(nearest / FOCAL) ** 2, rel=0.05)

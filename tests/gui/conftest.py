@@ -3,12 +3,14 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tg4mm.core.splatfile import SplatFile, write_splat
+from tg4mm.core.splatfile.model import f_dc
 
 from . import session
 
@@ -25,19 +27,11 @@ def drum(side=24, freqs_hz=(2.0, 5.0)):
     for k, (shape, size) in enumerate(zip(shapes, (0.02, 0.01), strict=True)):
         displacement[k, :, 2] = size * shape
     colour = np.stack([(x + 1) / 2, (y + 1) / 2, np.full(n, 0.3)], axis=1)
-    return SplatFile(
-        means=np.stack([x, y, np.zeros(n)], axis=1).astype(np.float32),
-        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
-        scales=np.full((n, 3), 0.6 / side, dtype=np.float32),
-        opacities=np.full(n, 0.9, dtype=np.float32),
-        sh=((colour - 0.5) / 0.28209479177387814)[:, None].astype(np.float32),
-        freqs_hz=np.array(freqs_hz),
-        displacement=displacement,
-        rotation=np.zeros_like(displacement),
-        fps=24.0,
-        n_timesteps=48,
-        unit_scale_m=0.1,
-    )
+    means, quats = np.stack([x, y, np.zeros(n)], axis=1), np.tile([1, 0, 0, 0], (n, 1))
+    rest = (means, quats, np.full((n, 3), 0.6 / side), np.full(n, 0.9), f_dc(colour)[:, None])
+    still = SplatFile.static(*(part.astype(np.float32) for part in rest), unit_scale_m=0.1)
+    phasors = {"displacement": displacement, "rotation": np.zeros_like(displacement)}
+    return replace(still, **phasors, freqs_hz=np.array(freqs_hz), fps=24.0, n_timesteps=48)
 
 
 @pytest.fixture(scope="session")

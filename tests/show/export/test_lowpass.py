@@ -113,7 +113,6 @@ def test_exports_are_widened_and_say_so(run, tmp_path):
     splat = read_splat(export_ply(run, tmp_path / "a.ply"))
     expected = widened(gaussians.scales.numpy(), smoothing_of(run))
     np.testing.assert_allclose(splat.scales, expected, rtol=1e-5)
-    assert (splat.scales > gaussians.scales.numpy()).all()
     np.testing.assert_allclose(splat.opacities, gaussians.opacities, atol=1e-6)
     assert splat.low_pass_px2 == BAKED_PX2 == 0.3
     frames = export_ply_sequence(run, tmp_path / "s", RenderRequest(), timesteps=[2])
@@ -128,11 +127,10 @@ def test_scales_as_trained_can_be_asked_for_in_every_format(run, tmp_path):
     single = {"ply": "a.ply", "gltf": "a.glb", "usd": "a.usdc", "spz": "a.spz"}
     for format, name in single.items():
         command = ["export", str(run.path), "--format", format, "--out", str(tmp_path / name)]
-        assert main([*command, *as_trained]) == 0
-        none = (tmp_path / name).read_bytes()
         assert main(command) == 0
-        assert none != (tmp_path / name).read_bytes(), format
+        baked = (tmp_path / name).read_bytes()
         assert main([*command, *as_trained]) == 0
+        assert baked != (tmp_path / name).read_bytes(), format
     splat = read_splat(tmp_path / "a.ply")
     np.testing.assert_allclose(splat.scales, trained, rtol=1e-5)
     assert splat.low_pass_px2 is None
@@ -140,8 +138,8 @@ def test_scales_as_trained_can_be_asked_for_in_every_format(run, tmp_path):
     attributes = document["meshes"][0]["primitives"][0]["attributes"]
     np.testing.assert_allclose(array(attributes["KHR_gaussian_splatting:SCALE"]), trained, rtol=1e-5)
     stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))  # kept: a prim of a stage that is gone is none
-    prim = stage.GetDefaultPrim()
-    np.testing.assert_allclose(np.array(prim.GetAttribute("scales").Get(0)), trained, rtol=1e-5)
+    scales = stage.GetDefaultPrim().GetAttribute("scales").Get(0)
+    np.testing.assert_allclose(np.array(scales), trained, rtol=1e-5)
     np.testing.assert_allclose(np.exp(gsply.read_spz(str(tmp_path / "a.spz")).scales), trained, rtol=0.04)
     for format in ("ply-sequence", "spz"):
         frames = tmp_path / format
