@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from benchmarks.bounds import BoundedRun, _noise, basis_fields, bound_of
+from benchmarks.bounds import BoundedRun, _noise, basis_fields, bound_of, part_fields
 from tests.fit.motion.scenes import gaussians_of, view_of
 from tests.fit.rasterize.oracle import make_scene
+from tg4mm.capture.truth_file import Truth, TruthObject
 from tg4mm.fit.gaussians import rotation_matrices
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.prior import build_graph
@@ -55,7 +56,7 @@ def test_least_squares_in_a_basis_meets_its_bound(scene):
     )
     variances = np.full((CAMERAS, *shape), sd**2, np.float32)
     subject = BoundedRun(gaussians, np.ones(N), nothing, views, true, variances)
-    noise, bound = bound_of(subject, POINTS, is_affine=False)
+    noise, bound = bound_of(subject, basis)
     jacobian = np.concatenate([v.jvp(basis).reshape(len(basis), -1) for v in views], 1).astype(float)
     errors = []
     for _ in range(20):
@@ -66,3 +67,23 @@ def test_least_squares_in_a_basis_meets_its_bound(scene):
         errors.append((off**2).sum() / (true[..., :3] ** 2).sum())
     assert noise <= bound
     assert np.sqrt(np.mean(errors)) == pytest.approx(bound, rel=0.3)
+
+
+def test_parts_turn_like_rigid_bodies_and_leave_the_others_at_rest():
+    """A turn about z is u = (−y, x, 0) with a rotation of (0, 0, 1); it is a sum of one part's affine motions."""
+    rng = np.random.default_rng(0)
+    cubes = [rng.uniform(-1, 1, (40, 3)) + [shift, 0, 0] for shift in (0.0, 5.0)]
+    bodies = [
+        TruthObject(str(i), x, np.zeros((0, 3), int), np.zeros((0, 40, 3))) for i, x in enumerate(cubes)
+    ]
+    truth = Truth(np.zeros(0), tuple(bodies), 30.0, 6)
+    means = np.concatenate(cubes).astype(np.float32)
+    basis = part_fields(truth, means)
+    assert basis.shape == (2 * 12, 80, 6)
+    assert not basis[:12, 40:].any()
+    assert not basis[12:, :40].any()
+    turn = np.stack([-means[:40, 1], means[:40, 0], np.zeros(40)], 1)
+    turn = np.concatenate([turn, np.tile([0, 0, 1], (40, 1))], 1)
+    first = basis[:12, :40].reshape(12, -1)
+    found = np.linalg.lstsq(first[:, np.arange(240) % 6 < 3].T, turn[:, :3].ravel(), rcond=None)[0]
+    np.testing.assert_allclose((found @ first).reshape(40, 6), turn, atol=1e-4)

@@ -143,8 +143,8 @@ class WholeBenchOptions(BenchOptions):
     preset: str | None = option(
         None,
         "The whole benchmark from nothing: smoke (one scene, minutes), small (eight scenes at 128×128), dev and test "
-        "(the same with two motions each and three seeds; test with other motions, cameras and seeds), small-dev and "
-        "small-test (the same at 64×64), paper (512×512), mic-512 (one scene at 512×512).",
+        "(sets whose pictures contain the exact motion; test with other motions, cameras and seeds), "
+        "paper (512×512), mic-512 (one scene at 512×512).",
     )
     out: Path | None = option(None, "With --preset: folder for data, runs and pages.")
     dry_run: bool = option(False, "With --preset: print the commands, one per line, without running them.")

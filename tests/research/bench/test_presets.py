@@ -81,7 +81,7 @@ def test_the_test_split_shares_no_motion_training_camera_or_seed_with_the_dev_sp
         return [request_from(parser().parse_args([*step.command[4:]])).sets[0] for step in steps]
 
     dev, test = sets("dev"), sets("test")
-    assert len(dev) == len(test) == 8 * 2 * 3
+    assert (len(dev), len(test)) == (10, 8)
     motions = [{str(s.motion.to_json()["modes"]) for s in split} for split in (dev, test)]
     assert motions[0].isdisjoint(motions[1])
     assert {s.seed for s in dev}.isdisjoint({s.seed for s in test})
@@ -91,7 +91,8 @@ def test_the_test_split_shares_no_motion_training_camera_or_seed_with_the_dev_sp
         3,
         4.3,
         5,
-    }  # thirty pictures at 30 Hz have bins of 1 Hz
+    }  # twelve pictures at 30 Hz: bins of 2.5 Hz
+    assert all(len({s.seed for s in split}) == 3 for split in (dev, test))
     assert all(len({m["frequency"] for m in s.motion.to_json()["modes"]}) == 2 for s in test)
 
 
