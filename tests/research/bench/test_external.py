@@ -26,22 +26,38 @@ from tg4mm.research.bench.sets import open_set
 ROOT = Path(__file__).parents[3]
 
 
+BLEND = """
+from pathlib import Path
+
+from PIL import Image
+
+for picture in Path("data").rglob("test/*.png"):
+    now = picture.parents[1]
+    later = now.with_name(f"{int(now.name) + 1:03d}")
+    later = later if later.is_dir() else now.with_name("000")
+    pair = [Image.open(t / "test" / picture.name).convert("RGBA") for t in (now, later)]
+    target = "theirs" / picture.relative_to("data")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    Image.blend(*pair, 0.5).save(target)
+"""  # each ground truth picture with the next: no method, but quick
+
+
 def example():
     """(the program, the command) of the page."""
     page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
     (program,) = re.findall(r"```python\n(.*?)```", page, re.S)
-    command = next(x for x in page.splitlines() if x.startswith("    tg4mm bench scenes") and "blend=" in x)
+    command = next(x for x in page.splitlines() if x.startswith("    tg4mm bench scenes") and "=theirs" in x)
     return program, command.strip()
 
 
 @pytest.fixture(scope="module")
 def joined(data, tmp_path_factory):
-    """The example run as the page has it, in a folder with a dataset, and beside it a broken one."""
+    """A method run by the page's command, in a folder with a dataset, and beside it a broken one."""
     folder = tmp_path_factory.mktemp("join")
     shutil.copytree(data, folder / "data" / "mic_5Hz_0_005")
     (folder / "data" / "broken").mkdir()
-    program, command = example()
-    (folder / "blend.py").write_text(program, encoding="utf-8")
+    command = example()[1].replace("pyrtools=theirs", "blend=theirs")
+    (folder / "blend.py").write_text(BLEND, encoding="utf-8")
     subprocess.run([sys.executable, "blend.py"], cwd=folder, check=True, timeout=120)
     _, _, *arguments = shlex.split(command)
     arguments = [*arguments, "data/broken", "--methods", "linear-2d"]
@@ -51,6 +67,24 @@ def joined(data, tmp_path_factory):
     )  # fmt: skip
     out = folder / arguments[arguments.index("--out") + 1]
     return out, json.loads((out / "results.json").read_text(encoding="utf-8"))
+
+
+def test_the_program_of_the_page_magnifies(data, tmp_path):
+    """Its picture at α = 5 differs from the one at rest as the ground truth's does."""
+    pytest.importorskip("pyrtools")
+    shutil.copytree(data, tmp_path / "data" / "mic_5Hz_0_005")
+    subprocess.run([sys.executable, "-c", example()[0]], cwd=tmp_path, check=True, timeout=120)
+    names = sorted(
+        p.relative_to(tmp_path / "theirs") for p in (tmp_path / "theirs").rglob("x005/*/test/*.png")
+    )
+    assert len(names) == 6
+
+    def changes(root):
+        found = np.stack([np.asarray(Image.open(root / name).convert("RGBA"), float) for name in names])
+        found = (found[..., :3] * found[..., 3:] + 255 * (255 - found[..., 3:])).reshape(6, -1)
+        return (found - found.mean(0)).ravel()
+
+    assert np.corrcoef(changes(tmp_path / "data"), changes(tmp_path / "theirs"))[0, 1] > 0.8
 
 
 def test_it_appears_in_every_table_of_pictures(joined):
@@ -346,8 +380,11 @@ def folder(data, tmp_path):
 
 def test_what_is_passed_on_can_be_checked(folder, data, capsys):
     card = (folder / "README.md").read_text()
-    assert "version: 1.2" in card
+    assert 'version: "1.2"' in card
     assert f"| seed0/{data.name} |" in " ".join(card.split())
+    described = json.loads((folder / "croissant.json").read_text(encoding="utf-8"))
+    (record,) = described["recordSet"][0]["data"]
+    assert (record["sets/set"], record["sets/timesteps"]) == (f"seed0/{data.name}", 6)
     assert main(["bench", "verify", str(folder)]) == 0
     if shutil.which("sha256sum"):
         subprocess.run(["sha256sum", "--quiet", "-c", "SHA256SUMS"], cwd=folder, check=True)
@@ -380,6 +417,15 @@ def test_a_list_that_will_not_do(sums, message, tmp_path, capsys):
     err = capsys.readouterr().err
     assert re.search(message, err)
     assert err.count("\n") == 1
+
+
+def test_the_metadata_are_valid_croissant(folder):
+    """And the card's head is one of Hugging Face."""
+    croissant, hub = pytest.importorskip("mlcroissant"), pytest.importorskip("huggingface_hub")
+    (record,) = croissant.Dataset(folder / "croissant.json").records("sets")
+    assert record["sets/scene"] == "mic"
+    card = hub.DatasetCard.load(folder / "README.md")
+    assert (card.data.license, card.data.pretty_name) == ("gpl-3.0", "sets")
 
 
 def test_a_folder_without_datasets_has_no_card(tmp_path, capsys):

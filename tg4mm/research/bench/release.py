@@ -1,11 +1,13 @@
-"""Releases a folder of datasets: a card with its contents, and a checksum of every file."""
+"""Releases a folder of datasets: a card of its contents, the same as Croissant metadata, a checksum of every file."""
 
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from tg4mm.core import __version__
+from tg4mm.core.files import write_json
 from tg4mm.core.progress import progress
 from tg4mm.core.work_folder import read_object
 from tg4mm.research.bench import BenchError
@@ -13,12 +15,12 @@ from tg4mm.research.bench.folder import write_text
 from tg4mm.research.bench.sets import open_set
 from tg4mm.research.text import table
 
-CARD, SUMS = "README.md", "SHA256SUMS"
+CARD, CROISSANT, SUMS = "README.md", "croissant.json", "SHA256SUMS"
 _LINE = re.compile(r"([0-9a-f]{64}) [ *]([^\x00-\x1f]+)")
 
 _HEAD = """---
 pretty_name: {name}
-version: {version}
+version: "{version}"
 license: gpl-3.0
 tags: [vibration, motion magnification, Gaussian splatting, synthetic]
 ---
@@ -30,12 +32,15 @@ depth and displacement of their pixels, and the motion of every vertex. Made by 
 are in its docs/conventions.md, how methods are compared in docs/protocol.md. Train on `train` alone; tune on no set
 that is called a test.
 
-`sha256sum -c {sums}` or `tg4mm bench verify DIR` checks every file.
+`{croissant}` holds the table below for programs (Croissant 1.0). `sha256sum -c {sums}` or `tg4mm bench verify DIR`
+checks every file.
 """
 
 
 def release(root: Path, version: str) -> list[Path]:
-    """Write the card and the checksums of all files in `root`, with datasets at any depth; returns both files.
+    """Write the card, its Croissant metadata, and the checksums of all files in `root`; returns these three files.
+
+    Datasets may lie at any depth.
 
     Raises BenchError without a dataset, and for an invalid version.
     """
@@ -44,25 +49,51 @@ def release(root: Path, version: str) -> list[Path]:
     datasets = sorted(file.parent for file in root.rglob("scene.json") if (file.parent / "000").is_dir())
     if not datasets:
         raise BenchError(f"{root} holds no dataset: expected a folder with scene.json and 000/")
-    head = [
-        "set",
-        "scene",
-        "cameras",
-        "pixels",
-        "views",
-        "timesteps",
-        "Hz",
-        "motion, px",
-        "seed",
-        "noise",
-        "MiB",
-    ]
     rows = [_row(root, dataset) for dataset in datasets]
-    card = _HEAD.format(name=root.resolve().name, version=version, program=__version__, sums=SUMS)
-    write_text(root / CARD, f"{card}\n{table(head, rows, text_columns=3)}\n")
+    name = root.resolve().name
+    card = _HEAD.format(name=name, version=version, program=__version__, sums=SUMS, croissant=CROISSANT)
+    write_text(root / CARD, f"{card}\n{table(list(_COLUMNS), rows, text_columns=3)}\n")
+    write_json(
+        root / CROISSANT,
+        _croissant(name, version, rows, dict(_digests(root, [d / "scene.json" for d in datasets]))),
+    )
     lines = [f"{digest}  {name}\n" for name, digest in _digests(root, _files(root))]
     write_text(root / SUMS, "".join(lines))
-    return [root / CARD, root / SUMS]
+    return [root / CARD, root / CROISSANT, root / SUMS]
+
+
+_COLUMNS = dict.fromkeys(("set", "scene", "cameras", "pixels"), "sc:Text") | {
+    "views": "sc:Integer", "timesteps": "sc:Integer", "Hz": "sc:Float", "motion, px": "sc:Float",
+    "seed": "sc:Text", "noise": "sc:Text", "MiB": "sc:Float",
+}  # fmt: skip
+_CR = "http://mlcommons.org/croissant/"
+
+
+def _croissant(name: str, version: str, rows: list[list[str]], digests: Mapping[str, str]) -> dict[str, Any]:
+    """Return the card as Croissant 1.0: the description of every set as a file, and the table as records."""
+    terms = {key: f"cr:{key}" for key in ("recordSet", "field", "citeAs")}
+    context = {"@language": "en", "@vocab": "https://schema.org/", "sc": "https://schema.org/", "cr": _CR, **terms,
+               "dct": "http://purl.org/dc/terms/", "conformsTo": "dct:conformsTo",
+               "data": {"@id": "cr:data", "@type": "@json"},
+               "dataType": {"@id": "cr:dataType", "@type": "@vocab"}}  # fmt: skip
+    files = [
+        {"@type": "cr:FileObject", "@id": file, "name": file, "contentUrl": file, "encodingFormat": "application/json",
+         "sha256": digest} for file, digest in digests.items()
+    ]  # fmt: skip
+    keys = {column: f"sets/{re.sub('[^A-Za-z]+', '_', column)}" for column in _COLUMNS}
+    fields = [{"@type": "cr:Field", "@id": keys[c], "name": keys[c], "description": c, "dataType": kind}
+              for c, kind in _COLUMNS.items()]  # fmt: skip
+    types = {"sc:Integer": int, "sc:Float": float, "sc:Text": str}
+    data = [
+        {keys[c]: types[_COLUMNS[c]](cell) for c, cell in zip(_COLUMNS, row, strict=True)} for row in rows
+    ]
+    return {
+        "@context": context, "@type": "sc:Dataset", "conformsTo": f"{_CR}1.0", "name": name, "version": version,
+        "description": "Generated scenes that vibrate by a fraction of a pixel, with exact ground truth.",
+        "license": "https://www.gnu.org/licenses/gpl-3.0.html", "citeAs": f"tg4mm {__version__}",
+        "distribution": files,
+        "recordSet": [{"@type": "cr:RecordSet", "@id": "sets", "name": "sets", "field": fields, "data": data}],
+    }  # fmt: skip
 
 
 def _row(root: Path, dataset: Path) -> list[str]:
