@@ -97,7 +97,8 @@ def _cells(run: Run) -> Iterator[str]:
     yield f"{100 * figures['relative_error']:.1f}"
     yield f"{main['amplitude_ratio'] or 0:.2f}"
     yield f"{100 * (figures['static_leak'] or 0):.0f}"
-    yield _closure(run.path / "metrics.json")
+    scores = (run.path / "metrics.json", run.path.parent / "metrics_modal.json")  # of evaluate, and of bench
+    yield next((_closure(file) for file in scores if file.is_file()), "–")
     yield _within(run, found, subject)
     means, axes = subject.gaussians.means.numpy(), rotation_matrices(subject.gaussians.quats).numpy()
     graph = build_graph(means, axes, subject.gaussians.scales.numpy())
@@ -112,8 +113,6 @@ def _cells(run: Run) -> Iterator[str]:
 
 def _closure(file: Path) -> str:
     """Return the closure at the largest α that `tg4mm evaluate` scored."""
-    if not file.is_file():
-        return "–"
     value = max(json.loads(file.read_text())["alphas"], key=lambda entry: entry["alpha"])["closure"]
     return "–" if value is None else f"{value:.2f}"
 

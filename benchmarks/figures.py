@@ -1,9 +1,9 @@
 """The figures of README.md and docs/results.md: all their tables of the benchmark are written from docs/figures.json.
 
-    python -m benchmarks figures                             # writes the tables anew
-    python -m benchmarks figures --results eight.json --five small.json --mic mic.json    # takes these first
+    python -m benchmarks figures                             # writes the tables and docs/error_over_noise.svg anew
+    python -m benchmarks figures --results eight.json --dev results.json --bounds bounds.md    # takes these first
 
-A table stands between `<!-- figures: NAME -->` and `<!-- end -->`.
+A table stands between `<!-- figures: NAME -->` and `<!-- end -->`; a table of the file need not stand on a page.
 """
 
 import argparse
@@ -15,6 +15,7 @@ from typing import Any
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.means import half_width, scalars
+from tg4mm.research.bench.pages.write import COLOURS, svg
 from tg4mm.research.evaluate.run import CEILING, STATIC
 
 Results = Mapping[str, Any]
@@ -44,9 +45,23 @@ def number(form: str, value: float | None, half: float | None = None) -> str:
     return text if half is None else f"{text} ± {number(form, half)}"
 
 
-def five_tables(results: Results) -> Made:
-    """SSIM of every method over α, error and MAC of every set."""
-    return {"five_ssim": over_alpha(results), "five_sets": _by_set(results)}
+def dev_tables(results: Results) -> Made:
+    """Closure and SSIM of every method over α, error and MAC of every set."""
+    return {"dev": over_alpha(results), "dev_sets": _by_set(results)}
+
+
+def bounds_table(text: str, group: str) -> Made:
+    """Rows of `python -m benchmarks bounds`, their sets named with the group, such as `mic 5 Hz, dev`."""
+    head, _, *rows = [line.strip("| \n").split(" | ") for line in text.splitlines() if line.startswith("|")]
+    return {
+        "bounds": {"header": head, "rows": [[f"{_set_name(name)}, {group}", *more] for name, *more in rows]}
+    }
+
+
+def _set_name(label: str) -> str:
+    """`mic_4_3Hz_0_5px` is `mic 4.3 Hz`."""
+    scene, _, rest = label.partition("_")
+    return f"{scene} {rest.partition('Hz')[0].replace('_', '.')} Hz" if "Hz" in rest else label
 
 
 def mic_table(results: Results) -> Made:
@@ -104,22 +119,43 @@ def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
 
 
 def over_alpha(results: Results) -> dict[str, Any]:
-    """SSIM of every row over α."""
+    """Closure, with half of its 95 % interval, and SSIM of every row over α."""
     means = sorted(results["line_means"], key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
-    alphas = sorted(means[0]["alphas"], key=float)
+    alphas = sorted((a for a in means[0]["alphas"] if float(a) > 0), key=float)
     rows = []
     for m in means:
         halves = m.get("half", {})
-        cells = (number("{:.4f}", m["alphas"][a]["ssim"], halves.get(a, {}).get("ssim")) for a in alphas)
-        rows.append([_named(m["row"]), *cells])
-    return {"header": ["SSIM", *(f"α = {a}" for a in alphas)], "rows": rows}
+        closures = [
+            number("{:.2f}", m["alphas"][a].get("closure"), halves.get(a, {}).get("closure")) for a in alphas
+        ]
+        ssim = [number("{:.4f}", m["alphas"][a]["ssim"]) for a in alphas]
+        rows.append(
+            [_named(m["row"]), *(", ".join(filter(None, cell)) for cell in zip(closures, ssim, strict=True))]
+        )
+    return {"header": ["closure, SSIM", *(f"α = {a}" for a in alphas)], "rows": rows}
+
+
+def noise_plot(rows: list[list[str]], header: list[str]) -> str:
+    """SVG of error and bounds of every row of the table of bounds, over the error that noise alone leaves."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for title, colour, mark in zip(("error, %", "bound, %", "parts known, %"), COLOURS, "o_x", strict=False):
+        cells = [(row[header.index("noise, %")], row[header.index(title)]) for row in rows]
+        points = [(max(float(x), 1), float(y)) for x, y in cells if x and y]
+        axes.plot(*zip(*points, strict=True), mark, color=colour, label=title.removesuffix(", %"))
+    axes.set(xscale="log", yscale="log", xlabel="error by noise alone, %", ylabel="displacement error, %")
+    axes.grid(alpha=0.25, which="both")
+    axes.legend(frameon=False)
+    return svg(figure)
 
 
 def _by_set(results: Results) -> dict[str, Any]:
     means = {m["row"]: m for m in results["means"]}
     runs = {(run["set"], run["row"]): scalars(run) for run in results["runs"]}
     rows = [
-        [label.partition("_")[0], *(_error(runs.get((label, row), {})) for row in means)]
+        [_set_name(label), *(_error(runs.get((label, row), {})) for row in means)]
         for label in dict.fromkeys(label for label, _ in runs)
     ]
     rows.append(["mean", *(_error(m["scalars"], m.get("half", {})) for m in means.values())])
@@ -142,7 +178,8 @@ def _times(value: float | None, factor: float) -> float | None:
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.json"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
-OPTIONS = dict.fromkeys(("--results", "--five", "--mic", "--rivals"), "")
+PLOT = ROOT / "docs" / "error_over_noise.svg"
+OPTIONS = dict.fromkeys(("--results", "--dev", "--mic", "--rivals", "--bounds"), "") | {"--group": "dev"}
 # of the motion, by key of `means.scalars`: title, format, factor
 _MOTION = {
     "displacement_error": ("error, %", "{:.1f}", 100),
@@ -241,13 +278,17 @@ def run(options: argparse.Namespace) -> None:
     figures = json.loads(FILE.read_text(encoding="utf-8"))
     if options.results:
         figures |= figures_of(_read(options.results))
-    if options.five:
-        figures["tables"] |= five_tables(_read(options.five))
+    if options.dev:
+        figures["tables"] |= dev_tables(_read(options.dev))
+    if options.bounds:
+        text = Path(options.bounds).read_text(encoding="utf-8")
+        figures["tables"] = merged(figures["tables"], bounds_table(text, options.group))
     if options.mic:
         figures["tables"] |= mic_table(_read(options.mic))
     if options.rivals:  # of a part of the sets and methods the rest stays
         figures["tables"] = merged(figures["tables"], rivals_tables(_read(options.rivals)))
     FILE.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    PLOT.write_text(noise_plot(figures["tables"]["bounds"]["rows"], figures["tables"]["bounds"]["header"]))
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8"), tables(figures)), encoding="utf-8")
         print(page)

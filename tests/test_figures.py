@@ -7,11 +7,13 @@ import pytest
 from benchmarks.figures import (
     FILE,
     PAGES,
+    bounds_table,
+    dev_tables,
     figures_of,
     filled,
-    five_tables,
     merged,
     mic_table,
+    noise_plot,
     rivals_tables,
     tables,
 )
@@ -56,7 +58,7 @@ def test_the_other_tables_are_of_results_too():
         ]},
         "seconds": {"space": 19.0, "motion": 16.0, "total": 35.0}, "rows": {}, "ways": ["modal"], "preset": "modal",
     }  # fmt: skip
-    scores = {"alphas": {"20": {"ssim": 0.952, "lpips": 0.05}}, "frames_per_s": 158.2}
+    scores = {"alphas": {"20": {"ssim": 0.952, "lpips": 0.05, "closure": 0.9}}, "frames_per_s": 158.2}
     rows = ("nothing moves", "modal", "linear-2d", "ceiling")
     lines = [{"set": run["set"], "row": row, **scores} for row in rows]
     groups = {run["set"]: "all"}
@@ -64,14 +66,21 @@ def test_the_other_tables_are_of_results_too():
         "sets": [{"label": run["set"], "width": 256}],
         "runs": [run], "lines": lines, "means": group_means([run], groups), "line_means": line_means(lines, groups)
     }  # fmt: skip
-    made = five_tables(results)
-    assert made["five_ssim"]["rows"][1:3] == [["`modal`", ".9520"], ["`linear-2d`", ".9520"]]
-    assert made["five_sets"]["rows"][:2] == [["mic", "5.8, .998"], ["mean", "5.8, .998"]]
+    made = dev_tables(results)
+    assert made["dev"]["rows"][1:3] == [["`modal`", "0.90, .9520"], ["`linear-2d`", "0.90, .9520"]]
+    assert made["dev_sets"]["rows"][:2] == [["mic 5 Hz", "5.8, .998"], ["mean", "5.8, .998"]]
     rivals = rivals_tables(results)
     assert rivals["rivals"]["header"][2] == "mic 256², 20"
     assert rivals["rivals"]["rows"][1] == ["`modal`", "", ".9520/.0500", ""]
     assert rivals["rivals_errors"]["rows"] == [["mic 256²", "5.8, .998"]]
     assert mic_table(results)["mic_512"]["rows"][1] == ["SSIM, `modal`", ".9520"]
+
+
+def test_printed_bounds_become_a_table_and_a_plot():
+    text = "| set | error, % | noise, % | bound, % | parts known, % |\n|:--|--:|\n| mic_4_3Hz_0_5px | 4 | 2 | 3 | 1 |\n"
+    made = bounds_table(text, "dev")["bounds"]
+    assert made["rows"] == [["mic 4.3 Hz, dev", "4", "2", "3", "1"]]
+    assert noise_plot(made["rows"], made["header"]).count("parts known") == 1
 
 
 def test_a_part_of_a_table_leaves_the_rest():

@@ -52,7 +52,7 @@ _SHOWN = ("ssim", "ssim_moving", "closure", "gain")
 def over_alpha(results: Mapping[str, Any], group: str) -> str | None:
     """Draw an SVG with four panels, SSIM, SSIM where it moves, closure and gain over α; None without an α above 0.
 
-    Each method has a curve of means over the sets; the rows for comparison are grey and dashed.
+    Each method has a curve of means over the sets, of closure with 95 % intervals; rows for comparison are grey.
     """
     means = [m for m in results["line_means"] if m["group"] == group]
     alphas = sorted({a for m in means for a in m["alphas"] if float(a) > 0}, key=float)
@@ -68,7 +68,9 @@ def over_alpha(results: Mapping[str, Any], group: str) -> str | None:
         for m in means:
             points = [(float(a), v) for a in alphas if (v := m["alphas"].get(a, {}).get(key)) is not None]
             if points:
-                panel.plot(*zip(*points, strict=True), label=row_name(m, every), **_style(m["row"], methods))
+                halves = [m.get("half", {}).get(f"{a:g}", {}).get(key) or 0 for a, _ in points]
+                style = {"label": row_name(m, every), "capsize": 2, **_style(m["row"], methods)}
+                panel.errorbar(*zip(*points, strict=True), halves if key == "closure" else None, **style)
         panel.set_xlabel("magnification factor α")
         panel.set_ylabel(METRICS[key][0])
         panel.set_xscale("log")
