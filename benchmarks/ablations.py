@@ -72,7 +72,7 @@ ABLATIONS: dict[str, tuple[Row, ...]] = {
     "amplitude": tuple(
         Row(
             f"{px:g} px",
-            data=f"--amplitude-px {px:g} --alphas {','.join(f'{round(t / px)}' for t in (1, 2, 4, 8))}",
+            data=f"--amplitude-px {px:g} --alphas {','.join(f'{t / px:.0f}' for t in (1, 2, 4, 8))}",
         )
         for px in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
     ),
@@ -86,21 +86,15 @@ ABLATIONS: dict[str, tuple[Row, ...]] = {
     "difference": (_paper("pictures (Eq. 16)", difference="false"), _paper("differences", difference="true")),
     "iterations": tuple(_paper(f"phase 2: {n}", motion_iterations=n) for n in ("20", "40", "80", "160")),
 }
-EFFECTS = {
-    "shake": "--shake 0.5",
-    "drift": "--exposure-drift 5",
-    "flicker": "--flicker 2",
-    "sensor": "--sensor phone --jpeg 0",
-    "h264": "--codec h264",
-}  # of a real camera, as options of the generator
+EFFECTS = {  # of a real camera, as options of the generator
+    "shake": "--shake 0.5", "drift": "--exposure-drift 5", "flicker": "--flicker 2",
+    "sensor": "--sensor phone --jpeg 0", "h264": "--codec h264",
+}  # fmt: skip
 ABLATIONS["effects"] = tuple(
     Row(name, data=f"--background white {options}")
-    for name, options in {
-        "none": "",
-        **EFFECTS,
-        "jpeg": "--sensor phone",
-        "all": " ".join(EFFECTS.values()),
-    }.items()
+    for name, options in (
+        {"none": ""} | EFFECTS | {"jpeg": "--sensor phone", "all": " ".join(EFFECTS.values())}
+    ).items()
 )
 OPTIONS: dict[str, Any] = {
     "out": Path,
@@ -109,14 +103,10 @@ OPTIONS: dict[str, Any] = {
     "--alphas": "20,50",
     "--options": "",
 }
-_COLUMNS = {
-    "displacement_error": "{:.1%}",
-    "static_leak": "{:.1%}",
-    "amplitude_ratio": "{:.3f}",
-    "direction_error_deg": "{:.1f}",
-    "frequency_error_hz": "{:.3f}",
-    "total_s": "{:.0f}",
-}  # of `scalars`
+_COLUMNS = {  # of `scalars`
+    "displacement_error": "{:.1%}", "static_leak": "{:.1%}", "amplitude_ratio": "{:.3f}",
+    "direction_error_deg": "{:.1f}", "frequency_error_hz": "{:.3f}", "total_s": "{:.0f}",
+}  # fmt: skip
 _HEADER = "| varied | error | leak | amplitude | direction, ° | frequency, Hz | s | method | SSIM | still | ceiling |"
 
 

@@ -48,7 +48,7 @@ _WIDTH = 0.8  # of the median distance of control points: standard deviation of 
 _SMOOTHING_PX = 1.5
 _OF_TRUTH = 0.01  # of the motion's energy: what a function of time holds at least
 _PICKED = 20_000  # Gaussians that control points are placed by
-_AT_ONCE = 8
+_AT_ONCE = 8  # fields
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _cells(run: Run) -> Iterator[str]:
 
 
 def _closure(file: Path) -> str:
-    """Return the closure at the largest α that `tg4mm evaluate` scored."""
+    """Return the closure at the largest α that was scored."""
     value = max(json.loads(file.read_text())["alphas"], key=lambda entry: entry["alpha"])["closure"]
     return "–" if value is None else f"{value:.2f}"
 
@@ -205,18 +205,16 @@ def part_fields(truth: Truth, means: np.ndarray) -> np.ndarray:
     nearest = np.argmin([body.tree.query(means)[0] for body in bodies], 0)
     out = []
     for part in np.unique(nearest):
-        mine = nearest == part
+        mine = np.flatnonzero(nearest == part)
         x = means[mine] - means[mine].mean(0)
         x /= (scale := float(np.abs(x).max()) or 1.0)
-        for axis, direction in enumerate(np.eye(3)):
-            for lever, along in zip(
-                np.stack([np.ones(len(x)), *x.T]), (np.zeros(3), *np.eye(3)), strict=True
-            ):
-                field = np.zeros((len(means), DOF), np.float32)
-                field[mine, axis] = lever
-                field[mine, 3:] = np.cross(along, direction) / 2 / scale
-                out.append(field)
-    return np.stack(out)
+        levers = np.concatenate([np.ones((len(x), 1)), x], 1)
+        turns = np.cross(np.eye(4, 3, k=-1)[:, None], np.eye(3)) / 2 / scale  # half the curl
+        field = np.zeros((4, 3, len(means), DOF), np.float32)
+        field[:, :, mine, :3] = np.einsum("na,ij->aijn", levers, np.eye(3)).swapaxes(2, 3)
+        field[:, :, mine, 3:] = turns[:, :, None]
+        out.append(field.reshape(12, len(means), DOF))
+    return np.concatenate(out)
 
 
 def _moved(graph: NeighbourGraph, value: np.ndarray, gradient: np.ndarray, axis: int) -> np.ndarray:

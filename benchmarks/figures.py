@@ -20,20 +20,11 @@ from tg4mm.research.evaluate.run import CEILING, STATIC
 
 Results = Mapping[str, Any]
 Made = dict[str, dict[str, Any]]  # {name: {header, rows}}, cells as text
-_MEANS = (  # of the table of sets: name, key of `scalars`, factor and format
-    ("mean of what can be observed", "displacement_error_observed", 100, "{:.1f}"),
-    ("mean leak", "static_leak", 100, "{:.1f}"),
-    ("mean amplitude ratio", "amplitude_ratio", 1, "{:.3f}"),
-)
+_MEANS = {  # of the table of sets: key of `scalars`, factor and format
+    "mean of what can be observed": ("displacement_error_observed", 100, "{:.1f}"),
+    "mean leak": ("static_leak", 100, "{:.1f}"), "mean amplitude ratio": ("amplitude_ratio", 1, "{:.3f}"),
+}  # fmt: skip
 _OF_RIVALS = ("5", "20", "50")  # α
-_OF_MIC = (  # row of line_means, key, title, format
-    (STATIC, "ssim", "SSIM, nothing moves", "{:.4f}"),
-    ("modal", "ssim", "SSIM, `modal`", "{:.4f}"),
-    (CEILING, "ssim", "SSIM, ceiling", "{:.4f}"),
-    ("modal", "closure", "closure", "{:.2f}"),
-    ("modal", "ssim_moving", "SSIM where it moves, `modal`", "{:.4f}"),
-    (CEILING, "ssim_moving", "the same, ceiling", "{:.4f}"),
-)
 
 
 def number(form: str, value: float | None, half: float | None = None) -> str:
@@ -53,25 +44,14 @@ def dev_tables(results: Results) -> Made:
 def bounds_table(text: str, group: str) -> Made:
     """Rows of `python -m benchmarks bounds`, their sets named with the group, such as `mic 5 Hz, dev`."""
     head, _, *rows = [line.strip("| \n").split(" | ") for line in text.splitlines() if line.startswith("|")]
-    return {
-        "bounds": {"header": head, "rows": [[f"{_set_name(name)}, {group}", *more] for name, *more in rows]}
-    }
+    rows = [[f"{_set_name(name)}, {group}", *cells] for name, *cells in rows]
+    return {"bounds": {"header": head, "rows": rows}}
 
 
 def _set_name(label: str) -> str:
     """`mic_4_3Hz_0_5px` is `mic 4.3 Hz`."""
     scene, _, rest = label.partition("_")
     return f"{scene} {rest.partition('Hz')[0].replace('_', '.')} Hz" if "Hz" in rest else label
-
-
-def mic_table(results: Results) -> Made:
-    """Scores over α of one set."""
-    means = {m["row"]: m["alphas"] for m in results["line_means"]}
-    alphas = sorted(means["modal"], key=float)
-    rows = [
-        [title, *(number(form, means[row][a].get(key)) for a in alphas)] for row, key, title, form in _OF_MIC
-    ]
-    return {"mic_512": {"header": ["", *(f"α = {a}" for a in alphas)], "rows": rows}}
 
 
 def _named(row: str) -> str:
@@ -90,12 +70,11 @@ def rivals_tables(results: Results) -> Made:
         scores = (lines.get((label, row), {}).get(a, {}) for label, a in places)
         cells = ("/".join(number("{:.4f}", s[key]) for key in ("ssim", "lpips")) if s else "" for s in scores)
         rows.append([_named(row), *cells])
-    sizes = {s["label"]: "" if s["width"] == 128 else f" {s['width']}²" for s in results["sets"]}
-    title = {label: label.partition("_")[0] + sizes[label] for label in sets}
+    width = {s["label"]: s["width"] for s in results["sets"]}
+    title = {x: x.partition("_")[0] + ("" if width[x] == 128 else f" {width[x]}²") for x in sets}
     header = ["SSIM/LPIPS at α", *(f"{title[label]}, {a}" for label, a in places)]
-    errors = _by_set(results)
-    own = errors["rows"][: len(sets)]  # the others are means
-    errors["rows"] = [[name, *row[1:]] for name, row in zip(title.values(), own, strict=True)]
+    errors = _by_set(results)  # after the sets stand means
+    errors["rows"] = [[title[x], *row[1:]] for x, row in zip(sets, errors["rows"], strict=False)]
     return {"rivals": {"header": header, "rows": rows}, "rivals_errors": errors}
 
 
@@ -124,14 +103,12 @@ def over_alpha(results: Results) -> dict[str, Any]:
     alphas = sorted((a for a in means[0]["alphas"] if float(a) > 0), key=float)
     rows = []
     for m in means:
-        halves = m.get("half", {})
-        closures = [
-            number("{:.2f}", m["alphas"][a].get("closure"), halves.get(a, {}).get("closure")) for a in alphas
-        ]
-        ssim = [number("{:.4f}", m["alphas"][a]["ssim"]) for a in alphas]
-        rows.append(
-            [_named(m["row"]), *(", ".join(filter(None, cell)) for cell in zip(closures, ssim, strict=True))]
+        scores = ((m["alphas"][a], m.get("half", {}).get(a, {})) for a in alphas)
+        cells = (
+            (number("{:.2f}", *(x.get("closure") for x in pair)), number("{:.4f}", pair[0]["ssim"]))
+            for pair in scores
         )
+        rows.append([_named(m["row"]), *(", ".join(filter(None, cell)) for cell in cells)])
     return {"header": ["closure, SSIM", *(f"α = {a}" for a in alphas)], "rows": rows}
 
 
@@ -142,7 +119,7 @@ def noise_plot(rows: list[list[str]], header: list[str]) -> str:
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axes = figure.subplots()
     for title, colour, mark in zip(("error, %", "bound, %", "parts known, %"), COLOURS, "o_x", strict=False):
-        cells = [(row[header.index("noise, %")], row[header.index(title)]) for row in rows]
+        cells = [[row[header.index(key)] for key in ("noise, %", title)] for row in rows]
         points = [(max(float(x), 1), float(y)) for x, y in cells if x and y]
         axes.plot(*zip(*points, strict=True), mark, color=colour, label=title.removesuffix(", %"))
     axes.set(xscale="log", yscale="log", xlabel="error by noise alone, %", ylabel="displacement error, %")
@@ -159,7 +136,7 @@ def _by_set(results: Results) -> dict[str, Any]:
         for label in dict.fromkeys(label for label, _ in runs)
     ]
     rows.append(["mean", *(_error(m["scalars"], m.get("half", {})) for m in means.values())])
-    for title, key, factor, form in _MEANS:
+    for title, (key, factor, form) in _MEANS.items():
         rows.append([title, *(number(form, _times(m["scalars"][key], factor)) for m in means.values())])
     return {"header": ["set", *map(_named, means)], "rows": rows}
 
@@ -179,18 +156,18 @@ ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.json"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
 PLOT = ROOT / "docs" / "error_over_noise.svg"
-OPTIONS = dict.fromkeys(("--results", "--dev", "--mic", "--rivals", "--bounds"), "") | {"--group": "dev"}
+OPTIONS = dict.fromkeys(("--results", "--dev", "--rivals", "--bounds"), "") | {"--group": "dev"}
 # of the motion, by key of `means.scalars`: title, format, factor
 _MOTION = {
     "displacement_error": ("error, %", "{:.1f}", 100),
     "displacement_error_observed": ("of what can be observed, %", "{:.1f}", 100),
-    "static_leak": ("leak, %", "{:.1f}", 100),
-    "amplitude_ratio": ("amplitude ratio", "{:.3f}", 1),
-    "direction_error_deg": ("direction off, °", "{:.1f}", 1),
-    "mac": ("MAC", "{:.3f}", 1),
-}
+    "static_leak": ("leak, %", "{:.1f}", 100), "amplitude_ratio": ("amplitude ratio", "{:.3f}", 1),
+    "direction_error_deg": ("direction off, °", "{:.1f}", 1), "mac": ("MAC", "{:.3f}", 1),
+}  # fmt: skip
 _ROWS = ("nothing moves", "modal", "ceiling")
 _LOST_AT = ("20", "50")  # α
+_LOST = f"SSIM lost, compared with the same Gaussians moved exactly, at α = {' / '.join(_LOST_AT)}"
+_SHORT = "eight generated scenes, 128×128, 30 cameras, motion of about 0.2 pixels"
 
 
 def figures_of(results: Mapping[str, Any]) -> dict[str, Any]:
@@ -209,23 +186,14 @@ def figures_of(results: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def tables(figures: Mapping[str, Any]) -> dict[str, str]:
-    """{name: Markdown}: every scene, SSIM over α, and the short table of README."""
+    """{name: Markdown}: every scene, the short table of README, and those of the file."""
     scenes, ssim = figures["scenes"], figures["ssim"]
     mean = {key: sum(values[key] for values in scenes.values()) / len(scenes) for key in _MOTION}
     half = {key: half_width([values[key] for values in scenes.values()], list(scenes)) for key in _MOTION}
     motion = [
-        [name, *(number(form, values[key] * factor) for key, (_, form, factor) in _MOTION.items())]
-        for name, values in scenes.items()
+        [name, *(number(f, v[k] * x) for k, (_, f, x) in _MOTION.items())] for name, v in scenes.items()
     ]
-    means = (
-        number(form, mean[key] * factor, None if (h := half[key]) is None else h * factor)
-        for key, (_, form, factor) in _MOTION.items()
-    )
-    motion.append(["mean", *means])
-    named = {"modal": "`modal`"}
-    scores = [
-        [named.get(row, row), *(number("{:.4f}", v) for v in values.values())] for row, values in ssim.items()
-    ]
+    motion.append(["mean", *(number(f, mean[k] * x, _times(half[k], x)) for k, (_, f, x) in _MOTION.items())])
     lost = [number("{:.4f}", ssim["ceiling"][a] - ssim["modal"][a]) for a in _LOST_AT]
     errors = {name: values["displacement_error"] for name, values in scenes.items()}
     best, worst = min(errors, key=errors.__getitem__), max(errors, key=errors.__getitem__)
@@ -238,16 +206,12 @@ def tables(figures: Mapping[str, Any]) -> dict[str, str]:
     others = {name: _markdown(made["header"], made["rows"]) for name, made in figures["tables"].items()}
     return others | {
         "scenes": _markdown(["set", *(title for title, _, _ in _MOTION.values())], motion),
-        "ssim": _markdown(["SSIM, mean", *(f"α = {a}" for a in next(iter(ssim.values())))], scores),
-        "short": "\n".join(
+        "short": _markdown(
+            [_SHORT, "mean ± 95 % confidence interval", "best", "worst"],
             [
-                "| eight generated scenes, 128×128, 30 cameras, motion of about 0.2 pixels "
-                "| mean ± 95 % confidence interval | best | worst |",
-                "|---|---:|---:|---:|",
-                f"| displacement error, rms, relative to the true motion | {' | '.join(cells)} |",
-                f"| SSIM lost, compared with the same Gaussians moved exactly, at α = {' / '.join(_LOST_AT)} "
-                f"| {' / '.join(lost)} | | |",
-            ]
+                ["displacement error, rms, relative to the true motion", *cells],
+                [_LOST, " / ".join(lost), "", ""],
+            ],
         ),
     }
 
@@ -283,8 +247,6 @@ def run(options: argparse.Namespace) -> None:
     if options.bounds:
         text = Path(options.bounds).read_text(encoding="utf-8")
         figures["tables"] = merged(figures["tables"], bounds_table(text, options.group))
-    if options.mic:
-        figures["tables"] |= mic_table(_read(options.mic))
     if options.rivals:  # of a part of the sets and methods the rest stays
         figures["tables"] = merged(figures["tables"], rivals_tables(_read(options.rivals)))
     FILE.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

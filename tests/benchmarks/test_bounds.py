@@ -80,10 +80,8 @@ def test_parts_turn_like_rigid_bodies_and_leave_the_others_at_rest():
     means = np.concatenate(cubes).astype(np.float32)
     basis = part_fields(truth, means)
     assert basis.shape == (2 * 12, 80, 6)
-    assert not basis[:12, 40:].any()
-    assert not basis[12:, :40].any()
-    turn = np.stack([-means[:40, 1], means[:40, 0], np.zeros(40)], 1)
-    turn = np.concatenate([turn, np.tile([0, 0, 1], (40, 1))], 1)
-    first = basis[:12, :40].reshape(12, -1)
-    found = np.linalg.lstsq(first[:, np.arange(240) % 6 < 3].T, turn[:, :3].ravel(), rcond=None)[0]
-    np.testing.assert_allclose((found @ first).reshape(40, 6), turn, atol=1e-4)
+    assert not np.concatenate([basis[:12, 40:], basis[12:, :40]]).any()
+    turn = np.stack([-means[:40, 1], means[:40, 0], *np.zeros((3, 40)), np.ones(40)], 1)
+    moves, target = (x[..., :3].reshape(*x.shape[:-2], -1) for x in (basis[:12, :40], turn))
+    found = np.linalg.lstsq(moves.T, target, rcond=None)[0]
+    np.testing.assert_allclose(np.tensordot(found, basis[:12, :40], 1), turn, atol=1e-4)
