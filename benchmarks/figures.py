@@ -20,10 +20,6 @@ from tg4mm.research.evaluate.run import CEILING, STATIC
 
 Results = Mapping[str, Any]
 Made = dict[str, dict[str, Any]]  # {name: {header, rows}}, cells as text
-_MEANS = {  # of the table of sets: key of `scalars`, factor and format
-    "mean of what can be observed": ("displacement_error_observed", 100, "{:.1f}"),
-    "mean leak": ("static_leak", 100, "{:.1f}"), "mean amplitude ratio": ("amplitude_ratio", 1, "{:.3f}"),
-}  # fmt: skip
 _OF_RIVALS = ("5", "20", "50")  # α
 
 
@@ -42,10 +38,11 @@ def dev_tables(results: Results) -> Made:
 
 
 def bounds_table(text: str, group: str) -> Made:
-    """Rows of `python -m benchmarks bounds`, their sets named with the group, such as `mic 5 Hz, dev`."""
+    """Rows of `python -m benchmarks bounds`, named with their group, `mic 5 Hz, dev`; of `dev` bounds beside errors."""
     head, _, *rows = [line.strip("| \n").split(" | ") for line in text.splitlines() if line.startswith("|")]
-    rows = [[f"{_set_name(name)}, {group}", *cells] for name, *cells in rows]
-    return {"bounds": {"header": head, "rows": rows}}
+    made = {"bounds": {"header": head, "rows": [[f"{_set_name(row[0])}, {group}", *row[1:]] for row in rows]}}
+    beside = {"header": ["set", *head[-3:]], "rows": [[_set_name(row[0]), *row[-3:]] for row in rows]}
+    return made | ({"dev_sets": beside} if group == "dev" else {})
 
 
 def _set_name(label: str) -> str:
@@ -136,8 +133,6 @@ def _by_set(results: Results) -> dict[str, Any]:
         for label in dict.fromkeys(label for label, _ in runs)
     ]
     rows.append(["mean", *(_error(m["scalars"], m.get("half", {})) for m in means.values())])
-    for title, (key, factor, form) in _MEANS.items():
-        rows.append([title, *(number(form, _times(m["scalars"][key], factor)) for m in means.values())])
     return {"header": ["set", *map(_named, means)], "rows": rows}
 
 
@@ -243,7 +238,7 @@ def run(options: argparse.Namespace) -> None:
     if options.results:
         figures |= figures_of(_read(options.results))
     if options.dev:
-        figures["tables"] |= dev_tables(_read(options.dev))
+        figures["tables"] = merged(figures["tables"], dev_tables(_read(options.dev)))
     if options.bounds:
         text = Path(options.bounds).read_text(encoding="utf-8")
         figures["tables"] = merged(figures["tables"], bounds_table(text, options.group))

@@ -76,7 +76,9 @@ def test_the_other_tables_are_of_results_too():
 
 def test_printed_bounds_become_a_table_and_a_plot():
     text = "| set | error, % | noise, % | bound, % | parts known, % |\n|:--|--:|\n| mic_4_3Hz_0_5px | 4 | 2 | 3 | 1 |\n"
-    made = bounds_table(text, "dev")["bounds"]
+    made = bounds_table(text, "dev")
+    assert made["dev_sets"]["rows"] == [["mic 4.3 Hz", "2", "3", "1"]]
+    made = made["bounds"]
     assert made["rows"] == [["mic 4.3 Hz, dev", "4", "2", "3", "1"]]
     assert noise_plot(made["rows"], made["header"]).count("parts known") == 1
 
