@@ -34,7 +34,7 @@ class BenchPreset:
     seeds: tuple[int, ...] = ()  # of the generator, every scene with each; (): its default
 
 
-# Of the splits: at these sizes the pictures determine the first mode to a tenth of itself (docs/results.md).
+# Of the splits: sized for a bound of the first mode of a tenth (docs/protocol.md).
 _SPLIT = ("--noise", "picture", "--amplitude-px", "0.5", "--alphas", "5,10,20")
 _COST, _MORE = "--views 12 --samples 32", "--views 30 --samples 64"  # drums show their motion least
 _DEV = (  # scene, Hz, timesteps at 30 Hz, seed; 4.3 Hz lies between the bins
