@@ -98,14 +98,18 @@ def over_alpha(results: Results) -> dict[str, Any]:
     """Closure, with half of its 95 % interval, and SSIM of every row over α."""
     means = sorted(results["line_means"], key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
     alphas = sorted((a for a in means[0]["alphas"] if float(a) > 0), key=float)
-    rows = []
+    rows, most = [], max(m["n_sets"] for m in means)
     for m in means:
         scores = ((m["alphas"][a], m.get("half", {}).get(a, {})) for a in alphas)
         cells = (
-            (number("{:.2f}", *(x.get("closure") for x in pair)), number("{:.4f}", pair[0]["ssim"]))
+            (
+                number("{:.2f}", pair[0].get("closure"), pair[1].get("closure") or None),
+                number("{:.4f}", pair[0]["ssim"]),
+            )
             for pair in scores
         )
-        rows.append([_named(m["row"]), *(", ".join(filter(None, cell)) for cell in cells)])
+        on = "" if m["n_sets"] == most else f", {m['n_sets']} of {most} sets"
+        rows.append([_named(m["row"]) + on, *(", ".join(filter(None, cell)) for cell in cells)])
     return {"header": ["closure, SSIM", *(f"α = {a}" for a in alphas)], "rows": rows}
 
 
@@ -128,11 +132,11 @@ def noise_plot(rows: list[list[str]], header: list[str]) -> str:
 def _by_set(results: Results) -> dict[str, Any]:
     means = {m["row"]: m for m in results["means"]}
     runs = {(run["set"], run["row"]): scalars(run) for run in results["runs"]}
-    rows = [
-        [_set_name(label), *(_error(runs.get((label, row), {})) for row in means)]
-        for label in dict.fromkeys(label for label, _ in runs)
-    ]
-    rows.append(["mean", *(_error(m["scalars"], m.get("half", {})) for m in means.values())])
+    sets = dict.fromkeys(label for label, _ in runs)
+    rows = [[_set_name(x), *(_error(runs.get((x, row), {})) for row in means)] for x in sets]
+    most = max(m["n_sets"] for m in means.values())
+    mean = (_error(m["scalars"], m.get("half", {})) if m["n_sets"] == most else "" for m in means.values())
+    rows.append(["mean", *mean])
     return {"header": ["set", *map(_named, means)], "rows": rows}
 
 
@@ -150,7 +154,6 @@ def _times(value: float | None, factor: float) -> float | None:
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.json"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
-PLOT = ROOT / "docs" / "error_over_noise.svg"
 OPTIONS = dict.fromkeys(("--results", "--dev", "--rivals", "--bounds"), "") | {"--group": "dev"}
 # of the motion, by key of `means.scalars`: title, format, factor
 _MOTION = {
@@ -245,7 +248,8 @@ def run(options: argparse.Namespace) -> None:
     if options.rivals:  # of a part of the sets and methods the rest stays
         figures["tables"] = merged(figures["tables"], rivals_tables(_read(options.rivals)))
     FILE.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    PLOT.write_text(noise_plot(figures["tables"]["bounds"]["rows"], figures["tables"]["bounds"]["header"]))
+    plot = noise_plot(figures["tables"]["bounds"]["rows"], figures["tables"]["bounds"]["header"])
+    (ROOT / "docs" / "error_over_noise.svg").write_text(plot, encoding="utf-8")
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8"), tables(figures)), encoding="utf-8")
         print(page)
