@@ -12,6 +12,7 @@ from tg4mm.capture.look.compression import with_losses
 from tg4mm.capture.look.conversion import conversion_of, with_conversion
 from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.model import FlickerLine, GlobalMotion, Look, LookLine, MovingRegion
+from tg4mm.capture.look.order import alike_by_position
 from tg4mm.capture.look.peaks import CHANCE
 from tg4mm.capture.look.place import Placed, cell_numbers, placed
 from tg4mm.capture.look.reading import LARGE_CELL, CellSeries, GreyPicture, read_cells
@@ -195,7 +196,10 @@ def _reported(search: Search, line: PoolLine) -> CoreLine:
     """
     vibration, scene = line.vibration, search.scene
     series, seen = search.series_of(line)
-    reported = steady = fit_lines(series[seen], search.times[seen], [vibration.hz]).lines[0]
+    alike = alike_by_position(series[seen], search.times[seen], scene.series.kinds[seen], vibration.hz)
+    steady = fit_lines(alike.series, search.times[seen], [alike.hz]).lines[0]
+    steady.covariance[0, 0] *= alike.wider
+    reported = steady
     if vibration.decay_per_s:
         rows = seen & ~scene.between if scene.treats_apart else seen
         rows = rows if _is_off_mirror(vibration.hz, search.times[rows], scene.duration) else seen

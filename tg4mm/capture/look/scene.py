@@ -20,7 +20,7 @@ _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
 _MOST_LOST = 0.9  # share of detail: what is left of a line that is found
 _LOST = 0.03  # share of detail that B-frames lack from which they are treated apart
 _FEWESTOTHERS = 24  # pictures that are not B
-_FEWEST_OF_KIND = 8  # pictures from which a cell's typical misfit is known
+FEWEST_OF_KIND = 8  # pictures from which a cell's typical misfit is known
 _PULLDOWNS = (5, 25)  # frames after which one repeats; half of them, at most, are of two pictures
 _COMBED = 12  # frames in which something seems to pass, from which a pulldown is recognised
 _STRAY = 0.1  # of a phase's usual number of such frames: fewer count as none
@@ -260,7 +260,7 @@ def typical_by_kind(series: CellSeries) -> np.ndarray:
     every, compared = baseline.typical, baseline.compared
     for kind in np.unique(series.kinds):
         rows = series.kinds == kind
-        if rows.sum() >= _FEWEST_OF_KIND:
+        if rows.sum() >= FEWEST_OF_KIND:
             out[rows] = np.maximum(np.median(series.misfit[rows], 0), QUANTISED)
         else:
             share = np.median(series.misfit[rows][:, compared] / every[compared], 1, keepdims=True)
@@ -306,10 +306,15 @@ def _nuisance(series: CellSeries, gain: np.ndarray) -> tuple[np.ndarray, list[Li
 
 def _positions(kinds: np.ndarray) -> np.ndarray:
     """[F, n] columns: the second, third … B-frame in a row."""
-    last = np.maximum.accumulate(np.where(kinds != BETWEEN, np.arange(len(kinds)), 0))
-    away = np.arange(len(kinds)) - last
-    enough = [k for k in range(2, int(away.max()) + 1) if (away == k).sum() >= _FEWEST_OF_KIND]
+    away = position_in_row(kinds)
+    enough = [k for k in range(2, int(away.max()) + 1) if (away == k).sum() >= FEWEST_OF_KIND]
     return np.stack([(away == k) * 1.0 for k in enough], 1) if enough else np.zeros((len(kinds), 0))
+
+
+def position_in_row(kinds: np.ndarray) -> np.ndarray:
+    """[F] int: which B-frame in a row each frame is, from 1; 0: none."""
+    frames = np.arange(len(kinds))
+    return np.asarray(frames - np.maximum.accumulate(np.where(kinds != BETWEEN, frames, 0)))
 
 
 def _light(gain: np.ndarray, series: CellSeries, nuisance: np.ndarray) -> list[Light]:
