@@ -2,7 +2,7 @@
 
 Downloads and screen recorders store 25 pictures a second as 30, or show one again where the next was late. A duplicate
 frame shows the picture before it again everywhere, its noise too: where a new picture would change, blocks are
-identical bit for bit. Little change alone is no evidence:
+identical bit for bit, or, in a regular pattern, all change clearly less. Little change alone is no evidence:
 
 - a vibration stands still at its turning points, a light at its extremes: what does not move still shows its noise,
   and if the codec took the noise away, frames near other turning points change as little (`_stands_out`);
@@ -35,6 +35,8 @@ _IDENTICAL = 0.4  # of these blocks, in the median duplicate of a pattern
 _CLEARLY = 0.5  # of them, in nine duplicates of ten where the codec makes no new picture in the same way
 _BESIDE = 0.5  # of that, at most, in nine new pictures of ten
 _GAP = 0.45  # of the change that nine new pictures of ten exceed, at most, in nine duplicates of ten
+_CODED_AGAIN = 0.6  # the same, and of each block's median change, where a codec stores the repeated picture anew,
+_NEARLY_ALL = 0.95  # of the blocks: a new picture's noise changes them all, a vibration only what moves
 _COMES_BACK = (
     0.25  # of a new picture's change, that one n or 2 n frames later differs by where the scene comes back
 )
@@ -80,6 +82,7 @@ class DuplicateMeter:
 
     _before: np.ndarray | None = None
     _changes: list[float] = field(default_factory=list)
+    _by_block: list[np.ndarray] = field(default_factory=list)
     _identical: list[np.ndarray] = field(default_factory=list)
     _small: list[np.ndarray] = field(default_factory=list)
     _kinds: list[str] = field(default_factory=list)
@@ -90,6 +93,7 @@ class DuplicateMeter:
         now = now.astype(np.int16) if now.dtype == np.uint8 else now
         change = np.zeros(now.shape) if self._before is None else np.abs(now - self._before)
         self._changes.append(float(change.mean()))
+        self._by_block.append(change.mean(1).astype(np.float16))
         self._identical.append(np.packbits(change.max(1) == 0))
         self._small.append(now.mean(1).astype(np.float16))
         self._kinds.append("I" if is_key else "B" if is_between else "P")
@@ -101,28 +105,36 @@ class DuplicateMeter:
             return None
         small = np.array(self._small, np.float32)
         identical = np.unpackbits(np.stack(self._identical), axis=1, count=small.shape[1]).astype(bool)
-        return find_duplicates(np.array(self._changes), identical, small, "".join(self._kinds), irregular)
+        by_block = np.array(self._by_block, np.float32)
+        return find_duplicates(
+            np.array(self._changes), by_block, identical, small, "".join(self._kinds), irregular
+        )
 
 
 def find_duplicates(
-    changes: np.ndarray, identical: np.ndarray, pictures: np.ndarray, kinds: str, irregular: bool = True
+    changes: np.ndarray,
+    by_block: np.ndarray,
+    identical: np.ndarray,
+    pictures: np.ndarray,
+    kinds: str,
+    irregular: bool = True,
 ) -> Duplicates | None:
     """The duplicate frames among T, None where the evidence shows none.
 
-    changes [T]: mean absolute change from the frame before; identical [T, B] bool: blocks that are bit for bit those of
-    the frame before; of both the first is not looked at. pictures [T, B]: the same frames, small. kinds: T letters I, P
-    or B, how the codec made each. irregular: without a pattern, too.
+    changes [T], by_block [T, B]: mean absolute change from the frame before; identical [T, B] bool: blocks that are bit
+    for bit those of the frame before; the first of each is not looked at. pictures [T, B]: the same frames, small.
+    kinds: T letters I, P or B, how the codec made each. irregular: without a pattern, too.
     """
     rank, places = rankdata(changes[1:]), _kinds_of(kinds)
     for n in range(2, min(_LARGEST, len(changes) // _FEWEST) + 1):
         pattern = max(_patterns(n), key=lambda p: _ordered(rank, _repeated(p, len(changes))[1:]))
         is_new = _repeated(pattern, len(changes))
-        if _ordered(rank, is_new[1:]) < _ORDERED or _is_of_keys(n, kinds) or not _has_gap(changes, is_new):
+        if _ordered(rank, is_new[1:]) < _ORDERED or _is_of_keys(n, kinds):
             continue
-        shows = identical[is_new].mean(0) <= _SELDOM
-        if _stands_out(identical[:, shows], is_new, places) and not _comes_back(
-            pictures[:, shows], is_new, (n, 2 * n)
-        ):
+        gap, shows = _gap(changes, is_new), identical[is_new].mean(0) <= _SELDOM
+        is_again = gap <= _GAP and _stands_out(identical[:, shows], is_new, places)
+        is_again |= gap <= _CODED_AGAIN and _changes_less_everywhere(changes, by_block, is_new, places)
+        if is_again and not _comes_back(pictures[:, shows], is_new, (n, 2 * n)):
             return Duplicates(is_new, Fraction(sum(pattern), n))
     return _without_pattern(changes, identical, pictures, places) if irregular else None
 
@@ -179,10 +191,19 @@ def _is_of_keys(n: int, kinds: str) -> bool:
     return usual > 1 and n % usual == 0
 
 
-def _has_gap(changes: np.ndarray, is_new: np.ndarray) -> bool:
-    """Return whether duplicates change clearly less than nearly all new pictures, as near turning points none does."""
+def _gap(changes: np.ndarray, is_new: np.ndarray) -> float:
+    """Return the change in most duplicates over that in nearly all new pictures; near turning points it is not small."""
     new, changes = is_new[1:], changes[1:]
-    return bool(np.quantile(changes[~new], 0.9) <= _GAP * np.quantile(changes[new], 0.1))
+    return float(np.quantile(changes[~new], 0.9) / max(np.quantile(changes[new], 0.1), 1e-9))
+
+
+def _changes_less_everywhere(
+    changes: np.ndarray, by_block: np.ndarray, is_new: np.ndarray, places: Sequence[Hashable]
+) -> bool:
+    """Whether nearly all blocks change clearly less in duplicates, also than in new pictures of the same kind."""
+    new, by_block = is_new[1:], by_block[1:]
+    fewer = np.median(by_block[~new], 0) <= _CODED_AGAIN * np.median(by_block[new], 0)
+    return bool(fewer.mean() >= _NEARLY_ALL) and _stands_out_in_kind(-changes[1:], new, places[1:])
 
 
 def _stands_out(identical: np.ndarray, is_new: np.ndarray, places: Sequence[Hashable]) -> bool:

@@ -163,13 +163,13 @@ class _Placing:
 
     def _everywhere(self, j: int) -> _Everywhere:
         pool, fit = self.search.pools[j], self.line.plain[j]
-        variance = len(self.search.times) / 4 * pool.floor[self.row]
+        variance = len(self.search.times) / 4 * pool.sure_floor[self.row]
         each = np.einsum("im,ij,jm->m", fit, self.products, fit) / variance
         statistic = each.reshape(-1, 2).sum(1) * pool.filled * (pool.filled > _FILLED)
         return _Everywhere(pool, pool.in_picture(fit), variance.reshape(-1, 2), statistic)
 
     def _seed(self) -> tuple[list[int], int]:
-        """Return the cells of the sure place of largest amplitude less two deviations, and its cells a side.
+        """Return the moving cells of the sure place of largest amplitude less two deviations, and its cells a side.
 
         A deviation includes half of the excess over the amplitudes of the cells around: the largest of many places
         would otherwise often be wrong.
@@ -195,8 +195,9 @@ class _Placing:
         if best is None:
             usual = max(self.all[:3], key=lambda e: float(e.statistic.max()))
             best = (0.0, usual, int(usual.statistic.argmax()))
-        pool = best[1].pool
-        return [self.at[cell] for cell in self._inside(pool, best[2])], pool.size
+        pool, common = best[1].pool, best[1].fit[:, best[2]]
+        cells = [self.at[cell] for cell in self._inside(pool, best[2])]
+        return [cell for cell in cells if self._moves(cell, common)] or cells, pool.size
 
     def _inside(self, pool: AggregationWindow, place: int) -> list[tuple[int, int]]:
         """Rows and columns of the usable cells of a place."""

@@ -16,6 +16,7 @@ from tg4mm.core.lines import tone
 
 _BESIDE, _BESIDE_SPREADS = 1.5, 3  # times the baseline misfit, and deviations of its scatter: a mover's rim
 _PASSING = 6  # deviations of a cell's own misfit over time
+_UNSEEN_NOISE = 4.0  # grey levels², as sensors have: where a codec repeats what rests, its noise is not known
 _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
 _MOST_LOST = 0.9  # share of detail: what is left of a line that is found
 _LOST = 0.03  # share of detail that B-frames lack from which they are treated apart
@@ -191,6 +192,8 @@ def find_masks(series: CellSeries, edges: np.ndarray | None = None) -> Masks:
     own_change = np.maximum(series.change.mean(0) - baseline.noise, 0)
     is_other = _is_most(grid, np.maximum(series.misfit.mean(0) - baseline.noise, 0), own_change)
     core, excess = baseline.stand_out() & is_other, baseline.excess
+    if baseline.level <= QUANTISED and (series.kinds != INTRA).any():
+        core &= series.misfit.mean(0) > _UNSEEN_NOISE
     core = core if edges is None else core & ~edges
     around = ndimage.binary_dilation(grid.picture(core), BLOCK).ravel() & ~series.matched
     typical = typical_by_kind(series)
