@@ -154,6 +154,15 @@ def test_the_option_keeps_duplicates_everywhere(tmp_path, capsys):
     assert "--keep-duplicates --out" in out  # the command that comes next
 
 
+@pytest.mark.parametrize("share", [Fraction(5, 6), Fraction(1, 2), Fraction(1)])
+def test_duplicates_that_a_codec_stores_anew_are_found(tmp_path, share):
+    """A fast encoder refines the repeated picture, so that hardly any block is the same bit for bit."""
+    film = vibrating(4.0, shown=np.floor(np.arange(150) * float(share) + 1e-9).astype(int))
+    path = encoded(tmp_path / "a.mp4", film, "libx264", crf="18", preset="ultrafast")
+    found = found_in(path)
+    assert (found is None) if share == 1 else (found is not None and found.share == share)
+
+
 def test_irregular_duplicates_of_a_video_are_left_out_and_said(tmp_path):
     again = np.random.default_rng(3).random(160) < 0.25
     again[0] = False

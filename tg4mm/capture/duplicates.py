@@ -35,7 +35,9 @@ _IDENTICAL = 0.4  # of these blocks, in the median duplicate of a pattern
 _CLEARLY = 0.5  # of them, in nine duplicates of ten where the codec makes no new picture in the same way
 _BESIDE = 0.5  # of that, at most, in nine new pictures of ten
 _GAP = 0.45  # of the change that nine new pictures of ten exceed, at most, in nine duplicates of ten
-_CODED_AGAIN = 0.6  # the same, and of each block's median change, where a codec stores the repeated picture anew,
+_CODED_AGAIN = (
+    0.6  # the same, and of each block's median change, where a codec stores the repeated picture anew,
+)
 _NEARLY_ALL = 0.95  # of the blocks: a new picture's noise changes them all, a vibration only what moves
 _COMES_BACK = (
     0.25  # of a new picture's change, that one n or 2 n frames later differs by where the scene comes back
@@ -192,7 +194,7 @@ def _is_of_keys(n: int, kinds: str) -> bool:
 
 
 def _gap(changes: np.ndarray, is_new: np.ndarray) -> float:
-    """Return the change in most duplicates over that in nearly all new pictures; near turning points it is not small."""
+    """Return the change in most duplicates over that in nearly all new pictures: not small near turning points."""
     new, changes = is_new[1:], changes[1:]
     return float(np.quantile(changes[~new], 0.9) / max(np.quantile(changes[new], 0.1), 1e-9))
 

@@ -70,21 +70,37 @@ def test_before_an_overexposed_wall_a_plate_vibrates_or_stands(vibrates):
     assert [round(line.hz, 2) for line in found.vibrations] == ([5.14] if vibrates else [])
 
 
-@pytest.mark.parametrize("size_px", [0.5, 0.0])
-def test_a_still_wall_that_the_codec_skips_does_not_outvote_the_plate(tmp_path, size_px):
-    """Its cells repeat bit for bit, so their measured noise is nearly zero."""
+def plate_before_a_skipped_wall(path, size_px, hz, noise, crf, box):
+    """129 frames at 24 Hz of a textured plate that vibrates before a wall without noise, which the codec repeats."""
     wall, plate = data.camera()[100:244, 150:342].astype(float), data.gravel()[:144, :192]
     rng, spectrum, frequencies = np.random.default_rng(1), np.fft.fft(plate), np.fft.fftfreq(192)
     frames = np.repeat(wall[None], 129, 0)
     for k, frame in enumerate(frames):
-        turn = np.exp(-2j * np.pi * frequencies * size_px * np.sin(2 * np.pi * 8.29 * k / 24))
-        moved = np.fft.ifft(spectrum * turn).real + 0.3 * rng.normal(size=plate.shape)
-        frame[36:108, 48:144] = moved[36:108, 48:144]
-    coding = Coding("libx264", 0, 250, crf=20, preset="medium")
-    write_video(tmp_path / "a.mp4", np.clip(np.rint(frames), 0, 255).astype(np.uint8), 24, coding)
-    found = look(tmp_path / "a.mp4")
+        turn = np.exp(-2j * np.pi * frequencies * size_px * np.sin(2 * np.pi * hz * k / 24))
+        moved = np.fft.ifft(spectrum * turn).real + noise * rng.normal(size=plate.shape)
+        frame[box] = moved[box]
+    coding = Coding("libx264", 0, 250, crf=crf, preset="medium")
+    write_video(path, np.clip(np.rint(frames), 0, 255).astype(np.uint8), 24, coding)
+    return look(path)
+
+
+@pytest.mark.parametrize("size_px", [0.5, 0.0])
+def test_a_still_wall_that_the_codec_skips_does_not_outvote_the_plate(tmp_path, size_px):
+    """Its cells repeat bit for bit, so their measured noise is nearly zero."""
+    found = plate_before_a_skipped_wall(tmp_path / "a.mp4", size_px, 8.29, 0.3, 20, np.s_[36:108, 48:144])
     assert [round(line.hz, 1) for line in found.vibrations] == ([8.3] if size_px else [])
     assert found.smallest[0].best_px > 1e-4  # rounding alone hides less
+
+
+@pytest.mark.parametrize(
+    ("size_px", "hz", "noise", "crf", "box"),
+    [(0.96, 9.52, 0.08, 21, np.s_[24:86, 32:129]), (1.13, 7.59, 0.27, 19, np.s_[36:83, 31:119]),
+     (0.62, 8.55, 0.17, 25, np.s_[39:102, 46:146])],
+)  # fmt: skip
+def test_cells_at_rest_beside_the_plate_do_not_lessen_its_amplitude(tmp_path, size_px, hz, noise, crf, box):
+    strongest = plate_before_a_skipped_wall(tmp_path / "a.mp4", size_px, hz, noise, crf, box).vibrations[0]
+    assert strongest.hz == pytest.approx(hz, abs=0.02)
+    assert strongest.amplitude_px == pytest.approx(size_px, rel=0.2)
 
 
 def test_of_noise_nothing_is_named():

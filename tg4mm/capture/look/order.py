@@ -1,8 +1,9 @@
 """A line's frequency where the frames between two predicted ones keep different shares of its motion.
 
-Frames of each position have other losses. With a period of n frames these give a line at f an image at |k rate / n ± f|,
-which a short record may not resolve from the line: 3.8 Hz beside 3.7 Hz at 30 Hz with three B-frames in a row. One
-sinusoid for all frames then has a false frequency. So each position has a phasor of its own beside a common frequency.
+Frames of each position have other losses. With a period of n frames these give a line at f an image at
+|k rate / n ± f|, which a short record may not resolve from the line: 3.8 Hz beside 3.7 Hz at 30 Hz with three B-frames
+in a row. One sinusoid for all frames then has a false frequency. So each position gets a phasor, beside a common
+frequency.
 """
 
 from typing import NamedTuple
@@ -27,7 +28,7 @@ class AlikeSeries(NamedTuple):
 def alike_by_position(series: np.ndarray, times_s: np.ndarray, kinds: np.ndarray, hz: float) -> AlikeSeries:
     """Fit a line near `hz` to a series [F] with a phasor for each position in a row of B-frames, and equalise these.
 
-    kinds [F]: of the frames, as in `CellSeries`. Positions with few frames, and frames that are not B, share one phasor.
+    kinds [F]: of the frames, as in `CellSeries`. Frames that are not B, and positions with few frames, share a phasor.
     """
     position = position_in_row(kinds)
     enough = [k for k in range(1, int(position.max()) + 1) if (position == k).sum() >= FEWEST_OF_KIND]
@@ -57,7 +58,7 @@ def alike_by_position(series: np.ndarray, times_s: np.ndarray, kinds: np.ndarray
 def _solved(
     series: np.ndarray, wave: np.ndarray, apart: np.ndarray, slow: np.ndarray, away: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residual [F], the positions' phasors [n], and the derivative by frequency beyond all other unknowns [F]."""
+    """Return residual [F], the positions' phasors [n], and the derivative by frequency less all other unknowns [F]."""
     columns = np.concatenate([wave.real[:, None] * apart, -wave.imag[:, None] * apart, slow], 1)
     basis, upper = np.linalg.qr(columns)
     weights = np.linalg.lstsq(upper, basis.T @ series, rcond=None)[0]

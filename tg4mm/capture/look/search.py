@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import stats
 
+from tg4mm.capture.look.baseline import QUANTISED
 from tg4mm.capture.look.model import Smallest
 from tg4mm.capture.look.peaks import (
     CHANCE,
@@ -61,6 +62,10 @@ class Search:
         self.hz = spectrum(self.times[:, None] * 0, self.times)[0]
         d, top = scene.duration, 0.5 / scene.dt
         self.allowed = (self.hz >= LOWEST / d) & (self.hz <= top - 0.5 / d)
+        typical = np.median(scene.series.misfit, 0).reshape(scene.grid.rows, scene.grid.columns)
+        self._repeated = (
+            typical[tuple(self.pools[0].corner.T)] <= QUANTISED if self.pools else np.zeros(0, bool)
+        )
         self._open = self.allowed.copy()
         self._tries: dict[int, int] = {}
         self._spectra: Spectra = {}
@@ -110,7 +115,7 @@ class Search:
         """Accept the peak as a line; else raise the noise around it, or close its frequency."""
         pool, scene = self.pools[peak.pool], self.scene
         row = self.bin_of(peak.hz)
-        shape = shape_of(peak, pool.floor[row])
+        shape = shape_of(peak, pool.sure_floor[row])
         series, seen = shape.series(pool.residual, pool.seen)
         width = scene.duration if peak.window is None else peak.window * scene.duration
         floor = beam_floor(pool, shape, row)
@@ -182,13 +187,19 @@ class Search:
             pool.floor[np.ix_(around, columns)] *= factor
 
     def _support(self, peak: PoolPeak, vibration: Vibration, row: int) -> float:
-        """Return the line's statistic in a place's cells without the strongest, or around a single cell."""
+        """Return the line's statistic in a place's cells without the strongest, or around a single cell.
+
+        Cells that a codec repeats bit for bit do not count: it may have taken their motion with their noise.
+        """
         cells, here = self.pools[0], self.pools[peak.pool]
         offset = cells.corner - here.corner[peak.place]
         if here.size > 1:
             places = np.flatnonzero(((offset >= 0) & (offset < here.size)).all(1))
         else:
             places = np.flatnonzero((np.abs(offset) < 2).all(1))
+        places = places[~self._repeated[places]] if here.size > 1 else places
+        if not len(places):
+            return 0.0
         columns = np.stack([2 * places, 2 * places + 1], 1).ravel()
         basis = vibration.columns(self.times)
         fit = cells.in_picture(cells.fitted(basis, cells.residual[:, columns], columns), places)
