@@ -204,7 +204,7 @@ def _changes_less_everywhere(
 ) -> bool:
     """Whether nearly all blocks change clearly less in duplicates, also than in new pictures of the same kind."""
     new, by_block = is_new[1:], by_block[1:]
-    fewer = np.median(by_block[~new], 0) <= _CODED_AGAIN * np.median(by_block[new], 0)
+    fewer = np.median(by_block[~new], 0) < _CODED_AGAIN * np.median(by_block[new], 0)
     return bool(fewer.mean() >= _NEARLY_ALL) and _stands_out_in_kind(-changes[1:], new, places[1:])
 
 
