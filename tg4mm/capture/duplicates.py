@@ -202,7 +202,7 @@ def _gap(changes: np.ndarray, is_new: np.ndarray) -> float:
 def _changes_less_everywhere(
     changes: np.ndarray, by_block: np.ndarray, is_new: np.ndarray, places: Sequence[Hashable]
 ) -> bool:
-    """Return whether nearly all blocks change clearly less in duplicates, also than in new pictures of the same kind."""
+    """Return whether nearly all blocks change clearly less in duplicates, in frames of one kind too."""
     new, by_block = is_new[1:], by_block[1:]
     fewer = np.median(by_block[~new], 0) < _CODED_AGAIN * np.median(by_block[new], 0)
     return bool(fewer.mean() >= _NEARLY_ALL) and _stands_out_in_kind(-changes[1:], new, places[1:])
