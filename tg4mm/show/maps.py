@@ -159,8 +159,9 @@ def most_moving_line(video: np.ndarray, axis: Axis | None = None) -> tuple[Axis,
 
     With `axis` given, the line of that axis. Where nothing varies it is the middle row (column).
     """
-    video = _check_video(video).astype(np.float64)
-    variance = video.var(axis=0)
+    video = _check_video(video)
+    # row by row: numbers of all of a long video would fill the memory
+    variance = np.stack([video[:, y].var(axis=0, dtype=np.float64) for y in range(video.shape[1])])
     variance = variance.mean(axis=-1) if variance.ndim == 3 else variance  # [H, W]
     lines: dict[Axis, np.ndarray] = {"row": variance.mean(axis=1), "column": variance.mean(axis=0)}
     if axis is not None:
@@ -195,7 +196,9 @@ def amplitude_spectrum(
     The length of a phasor vector is sqrt(Σ |component|²): for motion along a line, the peak displacement.
     `weights` [N] ≥ 0, all 1 if None. Sorted by frequency. Raises ValueError if the weights do not fit.
     """
-    length = np.linalg.norm(motion.displacement.astype(np.complex128), axis=2)  # [K, N]
+    length = np.stack(
+        [np.linalg.norm(u.astype(np.complex128), axis=1) for u in motion.displacement]
+    )  # [K, N]
     weights = np.ones(length.shape[1]) if weights is None else np.asarray(weights, dtype=np.float64)
     if weights.shape != length.shape[1:]:
         raise ValueError(f"weights have shape {weights.shape}, expected {length.shape[1:]}")

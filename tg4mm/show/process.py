@@ -45,10 +45,10 @@ from tg4mm.show.web.write import export_html
 
 # Processor seconds in measured runs: for each megapixel of all pictures (the model; then numbers, video and report),
 # for each of one picture, and in any case. Model and memory: docs/results.md, "Large videos"; the rest: 301 pictures of
-# 960×544 took 348 s in all, 120 of 240×160 106 s. The third dimension costs more.
+# 960×544 took 348 s in all, 120 of 240×160 106 s. In 3D 262 pictures of 600×800 took 1,630 s, beside other work.
 _FLAT_S = 0.16 + 1.34, 25.0, 90.0
-_DEEP_S = 2.0 + 1.34, 0.0, 120.0
-_FLAT_GB, _DEEP_GB = 0.25, 1.7  # for each megapixel of one picture
+_DEEP_S = 9.0 + 1.34, 0.0, 120.0
+_FLAT_GB, _DEEP_GB = 0.25, 9.0  # for each megapixel of one picture
 # in any case; in addition for all pictures, up to so many megapixels
 _LEAST_GB, _MORE_GB, _ALL_MP = 0.6, 1.4, 150.0
 _NAMED = 2  # vibrations
@@ -105,10 +105,12 @@ def _count(clip: Clip, config: SfmConfig) -> int:
 
 def result_lines(result: Result, out: Path, opens: str) -> list[str]:
     """Return five lines: frequency, amplitude, position, unknown quantities, and the file to open."""
-    found = [*result.vibrations, *result.beside][:_NAMED]
+    found = sorted([*result.vibrations, *result.beside], key=lambda v: bool(v.doubt))[:_NAMED]
     more = len(result.vibrations) + len(result.beside) - len(found)
     others = f", and {more} more" if more else ""
-    hz = [f"{with_deviation(Length(v.hz, v.deviation_hz))} Hz" for v in found]
+    hz = [
+        f"{with_deviation(Length(v.hz, v.deviation_hz))} Hz{' (in doubt)' if v.doubt else ''}" for v in found
+    ]
     lines = [
         ("frequency", f"{'; '.join(hz)}{others}"),
         ("amplitude", "; ".join(_size(v, result) for v in found)),

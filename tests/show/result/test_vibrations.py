@@ -18,6 +18,7 @@ from tg4mm.show.measure.measurement import region_sensors
 from tg4mm.show.result.advice import suggested_bands
 from tg4mm.show.result.looked import looked_notes, looked_vibrations
 from tg4mm.show.result.model import line_near, mode_deviations, phasors_at, why_no_damping, with_deviation
+from tg4mm.show.result.read import not_of_light
 
 FPS, N = 30.0, 120
 T = np.arange(N) / FPS
@@ -117,6 +118,16 @@ def test_parts_that_move_at_one_frequency_share_its_band_and_have_sensors_of_the
     sensors = region_sensors(scene, both)
     assert [sensor.name for sensor in sensors] == ["5.2 Hz", "5.2 Hz 2"]
     assert sensors[1].values[:2] == (10.0, 40.0)
+
+
+def test_motion_at_the_frequency_of_the_light_is_in_doubt_unless_a_region_shows_it():
+    (line,) = looked_vibrations(found(), CAPTURE, fps=30.0, duration_s=6.0)
+    model = (replace(line, hz=9.998), line)
+    in_light, other = not_of_light(model, found(), duration_s=6.0)
+    assert "the light flickers there by 2 %" in in_light.doubt
+    assert not other.doubt
+    assert not not_of_light(model, found(hz=10.01), duration_s=6.0)[0].doubt
+    assert not_of_light(model, found("light", hz=10.01), duration_s=6.0)[0].doubt
 
 
 def test_a_marked_line_is_no_vibration_and_the_notes_say_why():

@@ -55,7 +55,7 @@ def contact_sheet(images: list[np.ndarray], columns: int, gap: int = 4, edge: in
 
 
 def line_that_moves(video: np.ndarray, axis: Axis | None = None, margin: float = 0.12) -> SliceLine:
-    """Return the line of a video [T, H, W, 3] in 0..1 with most change, cut to the changing part plus a margin.
+    """Return the line of a video [T, H, W, 3] with most change, cut to the changing part plus a margin.
 
     axis: "row" or "column"; None: the one that changes most.
     """

@@ -271,7 +271,7 @@ def slices(m: Material) -> Block:
     """Return one figure; for a moving camera, slices of the model from one pose."""
     named = _named(m)
     shown = next(video for label, video in reversed(named) if video is not None)
-    line = line_that_moves(shown / np.float32(255), _axis_of_motion(m))
+    line = line_that_moves(shown, _axis_of_motion(m))
     periods = max(1, math.ceil(_LEAST / len(shown))) if len(shown) == m.train.n_timesteps else 1
     shape = f"{m.train.width} / {m.train.height}"  # as tall as the reference beside them
     panels = [picture(marked(shown[0], line), "Where the slices are cut", photo=True)]

@@ -158,7 +158,8 @@ def _named(
     every = looked_vibrations(reading.look, reading.capture, motion.fps, reading.duration_s, depths)
     hz = np.asarray(motion.freqs_hz)
     if not is_flat:
-        return _with_regions(_vibrations(reading, motion, found), every, hz)
+        model = not_of_light(_vibrations(reading, motion, found), reading.look, reading.duration_s)
+        return _with_regions(model, every, hz)
     held = [bool(((hz >= v.band[0]) & (hz <= v.band[1])).any()) for v in every]
     inside = tuple(v for v, is_held in zip(every, held, strict=True) if is_held)
     return inside, tuple(v for v, is_held in zip(every, held, strict=True) if not is_held)
@@ -182,8 +183,25 @@ def _with_regions(
             (inside if held else beside).append(line)
         elif _is_local(inside[near[0]], line):
             inside[near[0]] = replace(line, band=inside[near[0]].band)
-    inside.sort(key=lambda v: v.amplitude.value, reverse=True)
+    inside.sort(key=lambda v: (bool(v.doubt), -v.amplitude.value))
     return tuple(inside), tuple(beside)
+
+
+def not_of_light(found: tuple[Vibration, ...], look: LookSummary, duration_s: float) -> tuple[Vibration, ...]:
+    """Return the vibrations; those at a frequency of the light that no region shows are in doubt."""
+    moving = [(line.hz, line.hz_deviation) for line in look.vibrations]
+
+    def is_near(v: Vibration, hz: float, deviation: float) -> bool:
+        return abs(v.hz - hz) < max(1 / (2 * duration_s), 2 * float(np.hypot(v.deviation_hz, deviation)))
+
+    out = []
+    for v in found:
+        light = [tone for tone in look.light if is_near(v, tone.hz, tone.hz_deviation)]
+        if light and not any(is_near(v, *line) for line in moving):
+            percent = 100 * light[0].amplitude
+            v = replace(v, doubt=f"the light flickers there by {percent:.2g} %, and no region moves")
+        out.append(v)
+    return tuple(out)
 
 
 def _is_local(model: Vibration, region: Vibration) -> bool:
