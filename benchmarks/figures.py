@@ -164,7 +164,7 @@ _MOTION = {
 }  # fmt: skip
 _ROWS = ("nothing moves", "modal", "ceiling")
 _LOST_AT = ("20", "50")  # α
-_LOST = f"SSIM (similarity) lost, relative to the same Gaussians with exact motion, at α = {' / '.join(_LOST_AT)}"
+_LOST = f"SSIM (similarity) lost against the same Gaussians with exact motion, at α = {' / '.join(_LOST_AT)}"
 _SHORT = "eight generated scenes, 128×128, 30 cameras, motion of about 0.2 pixels"
 
 
