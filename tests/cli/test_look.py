@@ -40,7 +40,7 @@ def test_a_video_is_told_in_words_and_drawn(video, tmp_path, monkeypatch, capsys
     assert float(first.split()[0]) == pytest.approx(HZ, abs=0.02)
     right, up = (float(number.replace("−", "-")) for number in re.findall(r"(\S+) (?:right|up)", first))
     assert (right, up) == pytest.approx((0.8, -0.6), abs=0.1)
-    assert "|k × 30 Hz ± its frequency|" in said
+    assert "|k × 30 Hz ± f|" in said
     assert f"tg4mm process '{video}' --kind flat --out 'my pump'-out" in said
     assert Image.open(tmp_path / "my pump-look.png").size[0] > 1000
     assert [path.name for path in tmp_path.iterdir()] == ["my pump-look.png"]
