@@ -52,7 +52,7 @@ class TG4MM_preferences(bpy.types.AddonPreferences):
         precision=2,
     )
     most: IntProperty(  # type: ignore[valid-type]
-        name="Most Gaussians",
+        name="Max Gaussians",
         description="Limit, in Gaussians of all chosen files together, that the import proposes",
         default=5_000_000,
         min=1,

@@ -118,7 +118,9 @@ def render_part(settings: Settings, out: Path, part: tuple[int, int], count: int
     number, parts = part
     job = plan(settings, out)
     if not 1 <= number <= parts <= len(job.shots):
-        raise GenerateError(f"--part {number}/{parts} is not one of 1 … {len(job.shots)} parts")
+        raise GenerateError(
+            f"--part {number}/{parts}: expected I/N with 1 ≤ I ≤ N, and N at most {len(job.shots)}"
+        )
     timing = render_missing(claim(job), ranges(len(job.shots), parts)[number - 1], count, stream)
     done = job.root / PARTS / f"{number}_of_{parts}.done"
     tree.write_json(done, timing)

@@ -122,7 +122,7 @@ def check_count(paths: Sequence[Path], most: int) -> None:
     total = sum(read_head(path).count for path in paths)
     if total > most:
         what = f"{paths[0]}: holds" if len(paths) == 1 else f"{paths[0].parent}: {len(paths)} files hold"
-        raise SplatFileError(f"{what} {total:,} Gaussians, more than Most Gaussians, {most:,}")
+        raise SplatFileError(f"{what} {total:,} Gaussians, more than the limit Max Gaussians, {most:,}")
 
 
 def _load_sequence(
@@ -228,7 +228,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         options={"SKIP_SAVE"},
     )
     most: IntProperty(  # type: ignore[valid-type]
-        name="Most Gaussians",
+        name="Max Gaussians",
         description="Refuse files with more Gaussians in all than this, before reading them",
         default=5_000_000,
         min=1,

@@ -50,8 +50,8 @@ def _set(obj: Any, value: float) -> None:
 def _property(decimals: int) -> Callable[..., Any]:
     return FloatProperty(
         name="Colour Range",
-        description="Amplitude that takes the last colour, millimetres where the file states its scale, else "
-        "scene units",
+        description="Amplitude shown in the last colour of the map, in millimetres if the file states its scale, "
+        "else in scene units",
         min=0.0,
         soft_max=10.0 ** (4 - decimals),
         precision=decimals,

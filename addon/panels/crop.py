@@ -31,7 +31,7 @@ def boxes_of(obj: Any, selected: Sequence[Any]) -> list[Any]:
     chosen = [other for other in selected if other != obj and names.MARK not in other]
     chosen = chosen or [other for other in bpy.data.objects if other.get(names.CROP_OF) == obj]
     if not chosen:
-        raise Tg4mmError("No crop box: add one with the button beside, or select an object as the box")
+        raise Tg4mmError("No crop box: add one with the button beside it, or select an object as the box")
     return chosen
 
 
@@ -233,8 +233,8 @@ def _draw_floaters(operator: Any, context: Any) -> None:
 @_ui.operator(
     "Remove Floaters", on_splats, draw=_draw_floaters, by=EnumProperty(name="By", items=_LIMITS),
     opacity=FloatProperty(name="Opacity Below", default=0.05, min=0.0, max=1.0),
-    size=FloatProperty(name="Median Sizes", default=10.0, min=1.0),
-    distance=FloatProperty(name="Radii", default=3.0, min=1.0),
+    size=FloatProperty(name="Larger Than (× Median)", default=10.0, min=1.0),
+    distance=FloatProperty(name="Farther Than (× Radius)", default=3.0, min=1.0),
 )  # fmt: skip
 def remove_floaters(operator: Any, context: Any) -> str:
     """Remove Gaussians that are faint, oversized, or far from the rest; the limit is in the settings"""

@@ -122,7 +122,7 @@ def file_units(operator: Any, context: Any) -> str:
 
 @_ui.operator("Fit Colour Range", on_motion)
 def fit_colour_range(operator: Any, context: Any) -> str:
-    """Set the last colour to the largest amplitude of the enabled modes in the band"""
+    """Set the range so that the last colour shows the largest amplitude of the enabled modes in the band"""
     obj = scene.splat_object(context)
     largest = analysis.fit_colour_range(obj)
     return f"0 to {preferences.unit_for(context, obj).text(largest)}"

@@ -65,7 +65,7 @@ def probe_cursor(obj: Any, cursor: Sequence[float]) -> Probe:
 def probe_spheres(obj: Any, spheres: Sequence[Any]) -> Probe:
     """Probe the Gaussians whose rest positions are inside any of the empties, each as large as it is drawn."""
     if not spheres:
-        raise PickError("No probe sphere: add one with the button beside, and move it over the region")
+        raise PickError("No probe sphere: add one with the button beside it, and move it over the region")
     with _readable(obj) as mesh:
         places = world(obj, mesh)
         places = np.column_stack([places, np.ones(len(places))])

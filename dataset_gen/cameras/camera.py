@@ -41,7 +41,9 @@ class SceneCamera:
                 f"camera {self.index}: its field of view {math.degrees(self.angle_x):g}° is not in 0.1° … 170°"
             )
         if len(self.shift) != 2 or not np.isfinite(self.shift).all():
-            raise GenerateError(f"camera {self.index}: its principal point is off by {self.shift!r}")
+            raise GenerateError(
+                f"camera {self.index}: its principal-point offset is {self.shift!r}, expected two finite numbers"
+            )
         pose.setflags(write=False)
         object.__setattr__(self, "camera_to_world", pose)
         object.__setattr__(self, "shift", (float(self.shift[0]) + 0.0, float(self.shift[1]) + 0.0))

@@ -67,8 +67,8 @@ def farm_sets(config: Mapping[str, Any]) -> list[FarmSet]:
         made = _farm_set(name, own or {}, values)
         if made.folder in found:
             other = found[made.folder].name
-            raise GenerateError(f"sets {other!r} and {name!r} have the same folder {made.folder}: rename one by --name "
-                                "or give them an `out` each")  # fmt: skip
+            raise GenerateError(f"sets {other!r} and {name!r} have the same folder {made.folder}: rename one with "
+                                "--name or give them an `out` each")  # fmt: skip
         found[made.folder] = made
     return list(found.values())
 

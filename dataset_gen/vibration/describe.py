@@ -59,7 +59,7 @@ class MotionDescription:
         """
         if amplitude is not None and amplitude_px is not None:
             raise GenerateError(
-                f"--amplitude {amplitude:g} and --amplitude-px {amplitude_px:g} exclude each other"
+                f"--amplitude {amplitude:g} and --amplitude-px {amplitude_px:g} cannot be used together"
             )
         if frequency_hz is not None:
             _option("--frequency", frequency_hz)
@@ -163,7 +163,9 @@ def _mode(data: Any) -> Mode:
 def _with_amplitude(mode: Mode, data: Mapping[str, Any]) -> Mode:
     amplitude, pixels = (_read(data, key, values.positive) for key in ("amplitude", "amplitude_px"))
     if amplitude is not None and pixels is not None:
-        raise ValueError(f"amplitude {amplitude:g} and amplitude_px {pixels:g} exclude each other")
+        raise ValueError(
+            f"amplitude {amplitude:g} and amplitude_px {pixels:g} cannot both be given: remove one"
+        )
     if amplitude is None and pixels is None:
         raise ValueError("amplitude is missing: amplitude (scene units) or amplitude_px (pixels) is needed")
     return replace(

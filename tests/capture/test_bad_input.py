@@ -181,7 +181,7 @@ def test_ground_truth_that_is_not_there(tree, folder):
     refused(tree, "x010: does not exist", "α = 10", "magnified/x005", magnification=10)
     shutil.rmtree(tree / "magnified")
     refused(tree, "x005", "no magnified/x… folder", magnification=5)
-    refused(folder, "one timestep", "magnified by 5", magnification=5)
+    refused(folder, "a single timestep", "α = 5 is not available", magnification=5)
 
 
 @pytest.mark.parametrize("alpha", [2.5, -1, math.nan, math.inf])

@@ -85,7 +85,7 @@ def test_a_name_with_a_space_and_one_without_a_rotation_s_last_digit(text):
         ("cameras", "PINHOLE 12 8 20 21", "OPENCV_FISHEYE 12 8 20 21", ("OPENCV_FISHEYE", "8")),
         ("cameras", "1 PINHOLE", "1 OTHER", ("1 is OTHER, of which pycolmap makes no pinhole", "tg4mm sfm")),
         ("cameras", "PINHOLE 12 8 20 21 6 4.5", "EQUIRECTANGULAR 12 8 12 8", ("EQUIRECTANGULAR, of which",)),
-        ("cameras", "1 PINHOLE", "5 PINHOLE", ("is of camera 1, which is not among the cameras",)),
+        ("cameras", "1 PINHOLE", "5 PINHOLE", ("belongs to camera 1, which the model does not define",)),
         ("cameras", "12 8 20", "13 8 20", ("w is 13; expected 12",)),
         ("cameras", "21 6 4.5", "21 6", ("cameras.txt: is truncated or damaged", "3 parameters, not 4")),
         ("cameras", "20 21 6 4.5", "-20 21 6 4.5", ("fl_x is -20.0",)),

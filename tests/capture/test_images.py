@@ -187,7 +187,11 @@ def test_eight_bits_by_pillow_come_back(tmp_path, name):
         ({}, GREY.astype(np.float32), "has colour mode F"),
         ({}, GREY.astype(np.uint32), "has colour mode I"),
         ({"photometric": "minisblack"}, np.stack([GREY] * 3), "holds 3 pictures"),
-        ({"photometric": "rgb", "extrasamples": ["assocalpha"]}, np.dstack([COLOUR, GREY]), "straight alpha"),
+        (
+            {"photometric": "rgb", "extrasamples": ["assocalpha"]},
+            np.dstack([COLOUR, GREY]),
+            "must be straight",
+        ),
     ],
 )
 def test_what_is_not_read_is_refused_by_name(tmp_path, options, given, message):

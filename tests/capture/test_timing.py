@@ -182,7 +182,7 @@ def test_whole_datasets_and_other_folders_are_not(tree, folder, tmp_path):
 
 def test_training_pictures_alone_is_refused(tree, folder):
     for part, root in ((tree / "000" / "train", tree), (folder / "train", folder)):
-        said = rf"train: is no dataset, but .*: tg4mm train {root.resolve()} --out RUN"
+        said = rf"train: is not a dataset but .*; run tg4mm train {root.resolve()} --out RUN"
         with pytest.raises(CaptureError, match=said):
             _capture(part)
 

@@ -87,7 +87,10 @@ def test_a_folder_of_numbered_pictures_needs_its_rate(tmp_path, monkeypatch, cap
     for k, grey in enumerate(film(0.2).pictures()):
         Image.fromarray(np.asarray(grey)).convert("L").save(folder / f"{k}.png")
     assert main(["look", str(folder)]) == 2
-    assert "frames: a folder of pictures has no times; give --fps" in capsys.readouterr().err
+    assert (
+        "frames: a folder of pictures has no frame times; give the frame rate with --fps HZ"
+        in capsys.readouterr().err
+    )
     assert main(["look", str(folder), "--fps", str(FPS)]) == 0
     said = capsys.readouterr().out
     assert "rings down" not in said
@@ -117,7 +120,7 @@ def test_where_nothing_vibrates_it_is_said_with_how_small_a_motion_would_be_foun
         ("noise.mp4 --fps 0", "--fps is 0; expected a frame rate above 0 Hz"),
         ("noise.mp4 --readout -1", "--readout is -1.0, expected"),
         ("noise.mp4 --readout nan", "--readout is nan, expected"),
-        ("noise.mp4 --from 3 --until 2", "--from 3 --until 2: holds nothing"),
+        ("noise.mp4 --from 3 --until 2", "--from 3 --until 2: selects nothing"),
         ("empty --from 3", "--from and --until apply to videos"),
         ("noise.mp4 --png a.jpg", "--png a.jpg: expected a name that ends in .png"),
         ("noise.mp4 --out notes.txt", "--out notes.txt: is a file; expected a folder"),

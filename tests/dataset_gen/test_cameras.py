@@ -84,7 +84,7 @@ SHEARED = np.eye(4) + np.array([[0, 0.2, 0, 0], [0] * 4, [0] * 4, [0] * 4])
         (lambda: SceneCamera(2, np.full((4, 4), np.nan)), r"camera 2: its pose is not a finite 4×4 matrix"),
         (lambda: SceneCamera(2, np.eye(4), angle_x=3.1), r"field of view 177.617° is not in"),
         (lambda: SceneCamera(2, np.eye(4), angle_x=np.nan), r"field of view nan° is not in"),
-        (lambda: SceneCamera(2, np.eye(4), shift=(np.inf, 0)), r"principal point is off by \(inf, 0\)"),
+        (lambda: SceneCamera(2, np.eye(4), shift=(np.inf, 0)), r"principal-point offset is \(inf, 0\)"),
         (lambda: scene_cameras([np.diag([1.0, 0, 1, 1])], [0.7]), r"camera 0: its pose is flattened"),
         (lambda: look_at(np.ones(3), np.ones(3)), r"cannot look at its own position"),
     ],

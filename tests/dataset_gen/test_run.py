@@ -147,7 +147,7 @@ def test_with_a_part_missing_it_is_not_complete(tmp_path):
     prepare_parts(TINY, tmp_path, 2)
     with pytest.raises(RunFailed, match=r"files are missing or damaged, the first is 000/train/r_000.png"):
         finish_parts(tiny("--points", "0"), tmp_path / "other", io.StringIO())
-    with pytest.raises(GenerateError, match=r"--part 3/2 is not one of"):
+    with pytest.raises(GenerateError, match=r"--part 3/2: expected I/N with"):
         render_part(TINY, tmp_path, (3, 2), 1, io.StringIO())
 
 

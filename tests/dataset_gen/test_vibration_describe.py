@@ -138,7 +138,7 @@ def test_a_broken_frame_is_one_line(data, expected):
         ("bending", {"frequency": float("nan")}, "frequency: nan is not a finite number"),
         ("bending", {"amplitude": 1e-300}, "amplitude: 1e-300 is not a positive number ≥ 1e-9"),
         ("bending", {"amplitude": None}, "amplitude is missing: amplitude (scene units) or amplitude_px"),
-        ("bending", {"amplitude_px": 2}, "amplitude 0.005 and amplitude_px 2 exclude each other"),
+        ("bending", {"amplitude_px": 2}, "amplitude 0.005 and amplitude_px 2 cannot both be given"),
         ("bending", {"phases": 3}, "phases: 3 is neither 'random' nor a mapping of parts to degrees"),
         ("bending", {"parts": []}, "parts: [] is not a list of names"),
         ("bending", {"magnified": "no"}, "magnified: 'no' is neither true nor false"),

@@ -132,7 +132,9 @@ def test_bad_input(capture, fit):
     with pytest.raises(tg4mm.CaptureError, match=r"band \(2,\) is not two frequencies"):
         tg4mm.Magnification.of(5, (2,))
     known = replace(fit.motion, gains=np.stack([fit.motion.gains_at(t) for t in range(3)], 1))
-    with pytest.raises(tg4mm.RunError, match=r"timestep 3: this motion is known at 0 … 2"):
+    with pytest.raises(
+        tg4mm.RunError, match=r"timestep 3: this motion is only defined at whole timesteps 0 … 2"
+    ):
         tg4mm.animate(replace(fit, motion=known), 3)
     still = replace(capture, n_timesteps=1)
     with pytest.raises(tg4mm.Tg4mmError, match="has one timestep"):

@@ -216,7 +216,9 @@ def recognises(root: Path) -> bool:
 def load(root: Path, split: str, alpha: int) -> Capture:
     """Every registered image as a capture with T = 1; the model's points are its points."""
     if alpha:
-        raise CaptureError(f"{root}: is one timestep, which has no images magnified by {alpha}")
+        raise CaptureError(
+            f"{root}: is a single timestep without magnified ground truth, so α = {alpha} is not available: use α = 0"
+        )
     if split != "train":
         raise MissingSplitError(
             f"{_model_folder(root)}: a COLMAP folder has training images only: there is no {split!r} split"
@@ -312,7 +314,7 @@ def _view(root: Path, model: ColmapModel, image: ColmapImage, lenses: dict[int, 
     named = root / MASKS / f"{portable(root / IMAGES, image.name)}.png"  # as COLMAP's own extractor has it
     mask = inside(root, named, where) if named.is_file() else None
     if image.camera_id not in model.cameras:
-        raise CaptureError(f"{where}: is of camera {image.camera_id}, which is not among the cameras")
+        raise CaptureError(f"{where}: belongs to camera {image.camera_id}, which the model does not define")
     camera = model.cameras[image.camera_id]
     pose = np.linalg.inv(image.cam_from_world) @ np.diag([1.0, -1.0, -1.0, 1.0])
     check_near(pose, f"{where}: its camera")

@@ -112,7 +112,8 @@ def _timestep_folders(root: Path, base: Path, gaps: bool) -> dict[int, Path]:
     for t in found if gaps else range(len(found)):
         if t not in found:
             raise CaptureError(
-                f"{base}: timestep {t:03d} is missing, though there are {len(found)} up to {max(found):03d}"
+                f"{base}: timestep {t:03d} is missing, but there are {len(found)} timesteps, the last one "
+                f"{max(found):03d}; restore the missing folder"
             )
         inside(root, found[t], "timestep folder")
     return found

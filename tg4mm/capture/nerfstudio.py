@@ -39,7 +39,9 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     Points come from ply_file_path, else points3d.ply. Poses are taken as they are: not recentred, not rescaled.
     """
     if alpha:
-        raise CaptureError(f"{root}: is in a layout that has no images magnified by {alpha}")
+        raise CaptureError(
+            f"{root}: this layout holds no magnified images, so α = {alpha} is not available: use α = 0"
+        )
     file = read_record(root / FILE)
     frames = file.values.get("frames")
     if not isinstance(frames, list) or not frames:

@@ -145,12 +145,13 @@ class SfmConfig(RecordingConfig):
     )
     matching: Matching = option(
         Matching.auto,
-        "Which pictures are compared. auto: every pair of up to 30 pictures; of more, those that look alike; in a long "
-        "sequence, neighbours.",
+        "Which pictures are compared with each other. auto: all pairs if there are at most 30 pictures; otherwise "
+        "those that look alike, and in a long sequence neighbours. exhaustive: all pairs. sequential: neighbours.",
     )
     frames: int | None = option(
         None,
-        "Number of sharp frames of a moving camera to begin with. [default: one of every two, 80 at most]",
+        "For a moving camera: number of sharp frames from which poses are first found. [default: one of every two, at "
+        "most 80, or 60 where the scene is at rest]",
     )
     test_every: int = option(0, "Use every N-th camera as a test camera; 0: none.")
     seed: int = option(0, "Seed of COLMAP's random draws.")
@@ -173,7 +174,9 @@ def sfm_config(options: RecordingConfig, length_file: Path | None) -> SfmConfig:
     values = {name: getattr(options, name) for name in names}
     if length_file is not None:
         if options.length is not None:
-            raise Tg4mmError("--length and --length-file exclude each other: both give the scene's scale")
+            raise Tg4mmError(
+                "--length and --length-file cannot be used together: both give the scene's scale"
+            )
         from tg4mm.capture.sfm.scale import read_length
 
         values["length"] = read_length(length_file)

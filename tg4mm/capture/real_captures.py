@@ -41,7 +41,9 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     Raises CaptureError for a frame or picture that is missing, and for a view of the tripod that is not registered.
     """
     if alpha:
-        raise CaptureError(f"{root}: is a real capture, which has no images magnified by {alpha}")
+        raise CaptureError(
+            f"{root}: a real capture holds no magnified images, so α = {alpha} is not available: use α = 0"
+        )
     if split != "train":
         raise MissingSplitError(
             f"{root}: a real capture has training images only: there is no {split!r} split"

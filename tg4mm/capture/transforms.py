@@ -302,7 +302,9 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     Of one timestep, or of as many as its frames have times (D-NeRF), unless it is itself a timestep of a dataset.
     """
     if alpha:
-        raise CaptureError(f"{root}: is one timestep, which has no images magnified by {alpha}")
+        raise CaptureError(
+            f"{root}: is a single timestep without magnified ground truth, so α = {alpha} is not available: use α = 0"
+        )
     views, scene = read_views(root, root, split, 0, may_miss=True), read_scene(root, needs_fps=False)
     n_timesteps = 1
     if whole_dataset(root) is None:

@@ -243,7 +243,7 @@ def _settled(path: Path) -> Iterator[None]:
         if (now := path.stat().st_size) != size:
             raise CaptureError(
                 f"{path}: changed while it was read, from {size:,} to {now:,} bytes: it is still being recorded or "
-                "copied; give the command again when it is complete"
+                "copied; run the command again when it is complete"
             )
 
 
@@ -273,8 +273,8 @@ def opened(path: Path) -> Any:
             container = av.open(file_url(path), container_options=options)
     except (av.FFmpegError, OSError, ValueError) as error:
         raise CaptureError(
-            f"{path}: is not a video that can be decoded, or its end, the index, is missing; copy it from the camera "
-            "again"
+            f"{path}: is not a video that can be decoded, or its index, at the end of the file, is missing; copy it "
+            "from the camera again"
         ) from error
     # A stream without codec context takes the whole process down when it is decoded.
     if stream_of(container) is None:

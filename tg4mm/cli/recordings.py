@@ -70,7 +70,8 @@ def _check_look(options: LookOptions) -> None:
         raise Tg4mmError(f"--png {png}: expected a name that ends in .png")
     require("--until", until, Maybe(POSITIVE), Tg4mmError)
     if not 0 <= start < (math.inf if until is None else until):
-        raise Tg4mmError(f"--from {start:g}{'' if until is None else f' --until {until:g}'}: holds nothing")
+        given = f"--from {start:g}{'' if until is None else f' --until {until:g}'}"
+        raise Tg4mmError(f"{given}: selects nothing; --from must be at least 0 and before --until")
     if options.video.is_dir() and (start or until is not None):
         raise Tg4mmError(
             "--from and --until apply to videos; for a folder, remove the pictures that you do not want"

@@ -61,7 +61,7 @@ def known_bands(run: Run, bands: Sequence[Band | None]) -> list[Band]:
 def check_paired(alphas: Sequence[float], bands: Sequence[object]) -> None:
     """Raise Tg4mmError unless there is one alpha for each band."""
     if len(alphas) != max(len(bands), 1):
-        need = "each band needs its own" if bands else "without --band there is one"
+        need = "give one --alpha for each --band" if bands else "without --band give exactly one --alpha"
         raise Tg4mmError(f"--alpha is given {_times(alphas)}, --band {_times(bands)}: {need}")
 
 
@@ -131,13 +131,17 @@ def _check_render(options: RenderOptions) -> list[str]:
     cameras = {"--split": o.split, "--cameras": o.cameras, "--orbit": o.orbit, "--path": o.path}
     given = [name for name, value in cameras.items() if value is not None]
     if len(given) > 1:
-        raise Tg4mmError(f"{given[0]} and {given[1]} exclude each other")
+        raise Tg4mmError(f"{given[0]} and {given[1]} cannot be used together")
     if o.path is not None and o.slow != 1:
-        raise Tg4mmError(f"--slow {o.slow:g} and --path exclude each other: picture t shows timestep t")
+        raise Tg4mmError(f"--slow {o.slow:g} and --path cannot be used together: picture t shows timestep t")
     if o.orbit is not None and not o.video:
-        raise Tg4mmError("--no-video and --orbit exclude each other: an orbit is a video")
+        raise Tg4mmError(
+            "--no-video cannot be used with --orbit, which is itself a video: leave out --no-video"
+        )
     if o.slow != 1 and not o.video:
-        raise Tg4mmError(f"--slow {o.slow:g} and --no-video exclude each other: only videos have a speed")
+        raise Tg4mmError(
+            f"--slow {o.slow:g} and --no-video cannot be used together: only videos have a speed"
+        )
     check_paired(o.alpha, o.bands)
     _ = o.temporal_filter  # raises
     return given
@@ -257,7 +261,7 @@ def analyse(options: AnalyseCommand) -> None:
     if o.reference is None and (o.column, o.sync, o.lag) != (None, None, None):
         raise Tg4mmError("--input, --sync and --lag belong to --with FILE")
     if o.speed is not None and o.tacho is not None:
-        raise Tg4mmError("--speed and --tacho exclude each other")
+        raise Tg4mmError("--speed and --tacho cannot be used together")
     if o.orders and o.speed is None and o.tacho is None:
         raise Tg4mmError("--order belongs to --speed or --tacho")
     from tg4mm.show.analyse.results import analyse as analysed

@@ -117,7 +117,7 @@ class Kind(_Fields, StrEnum):
         CaptureKind(
             about="one camera that filmed a steady vibration from several places, one after another",
             found_in=("recordings",),
-            because=", begun one after another's end; otherwise pass --kind rig",
+            because=", each begun after the previous one ended; otherwise pass --kind rig",
             fixed=True,
             in_turn=True,
             holds_out=True,

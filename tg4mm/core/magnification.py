@@ -206,7 +206,9 @@ class Magnification:
             if not Number(-LARGEST_ALPHA, LARGEST_ALPHA).fits(alpha):
                 raise Tg4mmError(f"alpha is {alpha!r}, expected a finite number within ±{LARGEST_ALPHA:g}")
         if self.bands and self.everywhere != 0:
-            raise Tg4mmError(f"alpha {self.everywhere:g} for all frequencies and bands exclude each other")
+            raise Tg4mmError(
+                f"alpha {self.everywhere:g} for all frequencies and bands cannot be used together"
+            )
         if not 0 <= self.amplitude_percentile < 100:
             raise Tg4mmError(
                 f"amplitude percentile is {self.amplitude_percentile:g}, expected 0 to below 100"

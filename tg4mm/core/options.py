@@ -201,12 +201,13 @@ class MagnifyOptions:
     method: MagnificationMethod | None = option(
         None,
         "modal: scales the modes. linear: filters each Gaussian's motion over time. phase: shifts the phases of "
-        "feature planes (presets paper and paper-tuned only). [default: modal; with the preset paper phase, with "
-        "paper-tuned linear]",
+        "feature planes (presets paper and paper-tuned only). [default: modal; phase for the preset paper, linear "
+        "for paper-tuned]",
     )
     filter: Filter | None = option(
         None,
-        "Temporal filter of linear and phase. published: as in the TG4MM paper, even length, half a sample early. "
+        "Temporal filter for --method linear and phase. published: the filter of the TG4MM paper, whose length is even "
+        "and whose output is half a sample early. "
         "[default: zero-phase]",
     )
     allow_empty_band: bool = empty_band_option()

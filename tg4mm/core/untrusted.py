@@ -208,7 +208,10 @@ def _check_archive(entries: list[zipfile.ZipInfo]) -> None:
         if not entry.filename.endswith(".npy"):
             raise ValueError(f"holds {entry.filename[:60]!r}, which is no array")
         if entry.compress_type not in _METHODS:
-            raise ValueError(f"{entry.filename[:60]!r} is packed by method {entry.compress_type}")
+            raise ValueError(
+                f"{entry.filename[:60]!r} is compressed by ZIP method {entry.compress_type}, which is not supported; "
+                "write the file with numpy.savez or savez_compressed"
+            )
         if entry.flag_bits & 1:
             raise ValueError(f"{entry.filename[:60]!r} is encrypted")
         if entry.file_size > DEFLATE * (entry.compress_size + 1):

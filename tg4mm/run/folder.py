@@ -195,7 +195,7 @@ class Run:
             raise RunError(f"{self.path} has no {file.name}: its training is not finished")
         tensors, header = read_tensors(file, kind, VERSION)
         if header["config"] != self._identity() or header.get("stage", "") != stage:
-            raise RunError(f"{file} belongs to a run with other settings, or is a part of another name")
+            raise RunError(f"{file} belongs to a run with other settings, or to another part of the run")
         check_finite(file, tensors, also)
         return tensors, header
 
@@ -257,7 +257,7 @@ class Run:
         try:
             tensors, header = read_tensors(file, "checkpoint", VERSION)
             if DIGEST not in header:
-                raise RunError(f"{file} is of another version of this program, without a digest")
+                raise RunError(f"{file} was written by another version of this program and has no digest")
             if header["config"] != self._identity() or header.get("stage") != stage:
                 raise RunError(f"{file} belongs to a run with other settings, or to another stage")
             if not isinstance(header.get("state"), dict):

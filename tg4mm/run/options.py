@@ -74,7 +74,7 @@ class TrainOptions:
         }
         for name, (spelling, text) in own.items():
             if text is not None and name in settings:
-                raise Tg4mmError(f"{spelling} and --set {name} exclude each other")
+                raise Tg4mmError(f"{spelling} and --set {name} cannot be used together: give only one")
             if text is not None:
                 settings[name] = text
         return settings

@@ -84,7 +84,7 @@ def _capture(dataset: Path) -> Capture:
     if (part := whole_dataset(dataset)) is not None:
         root, what = part
         if dataset.resolve().parent != root or not transforms.recognises(dataset):
-            raise CaptureError(f"{dataset}: is no dataset, but {what}: {train_command(root)}")
+            raise CaptureError(f"{dataset}: is not a dataset but {what}; run {train_command(root)}")
         _LOG.warning(f"{dataset}: is {what}, by itself a still scene; with its motion: {train_command(root)}")
     if dataset.is_file() or (dataset.is_dir() and not any(reader.recognises(dataset) for reader in READERS)):
         from tg4mm.capture.sfm.clip import suggested_command

@@ -103,7 +103,7 @@ class LookOptions:
     )
     fps: float | None = option(
         None,
-        "Frame rate at which it was filmed, Hz, where the file has another (slow motion) or none (a folder). "
+        "True frame rate of the recording, Hz, if the file states another one (slow motion) or none (a folder). "
         "[default: the file's own times]",
         metavar="HZ",
     )
@@ -120,7 +120,9 @@ class LookOptions:
     regions: Path | None = option(None, "Regions and a scale drawn with tg4mm view (JSON).", metavar="FILE")
     out: Path | None = option(None, "Folder for look.html, look.json and look.png.")
     png: Path | None = option(
-        None, "The picture. [default: OUT/look.png, without --out NAME-look.png in the current folder]"
+        None,
+        "PNG file to write the picture to. [default: OUT/look.png; if --out is not given, NAME-look.png in the current "
+        "folder]",
     )
 
 
@@ -211,7 +213,7 @@ class MeasureOptions:
     )
     keep: bool = option(
         True,
-        "Cache what is read from the pictures in the run folder, so that the next call is fast; for a flat capture "
+        "Keep a cache of the picture data in the run folder, so that the next call is fast; for a flat capture "
         "nothing is cached.",
         off="--no-keep",
     )
@@ -465,8 +467,8 @@ class ProcessOptions(RecordingConfig):
     )
     all_files: bool = option(
         False,
-        "Keep the magnified video's pictures (magnified/), write plots as SVG, too, and all of the scene to page.html, "
-        "which otherwise has at most 10 MB.",
+        "Keep the magnified video's pictures (magnified/), also write plots as SVG, and write the whole scene to "
+        "page.html, which otherwise has at most 10 MB.",
     )
     settings: Mapping[str, str] = settings_option(
         "Override one setting, e.g. space.iterations=3000; may be repeated. tg4mm train --list-settings lists them."

@@ -65,7 +65,7 @@ def test_frequencies_that_were_lost_are_asked_for(extension, tmp_path):
     assert not extension.nodes.scene.moves(import_splat(path))
     assert extension.nodes.scene.moves(import_splat(path, frequencies="3, 5, 7.5"))
     for text, told in (
-        ("3, five", "'five' is none; expected numbers in Hz"),
+        ("3, five", "'five' is not a frequency; expected numbers of at least 0 in Hz"),
         ("3", "1 frequencies were given"),
     ):
         with pytest.raises(RuntimeError, match=told):

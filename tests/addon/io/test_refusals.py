@@ -18,7 +18,7 @@ MESH = b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float 
         (lambda data: None, "cannot be read", 99),
         (lambda data: b"\x89PNG\r\n\x1a\n" + bytes(99), "is not a PLY", 99),
         (lambda data: MESH + bytes(4), "property y is missing", 99),
-        (lambda data: data, "holds 23 Gaussians, more than Most Gaussians, 22", 22),
+        (lambda data: data, "holds 23 Gaussians, more than the limit Max Gaussians, 22", 22),
     ],
 )
 def test_a_file_that_cannot_be_imported_leaves_nothing(extension, splat_path, change, message, most):

@@ -139,7 +139,7 @@ def test_a_baseline_gives_the_scale_later(dataset, photographs, tmp_path):
         (SfmConfig(start_s=-1.0), "--from is -1.0, expected a finite number of at least 0"),
         (SfmConfig(start_s=2.0, stop_s=1.5), "--until is 1.5, expected a finite number above 2"),
         (SfmConfig(frames=50), "--frames is 50, but there is no video of a moving camera"),
-        (SfmConfig(unit_scale_m=1.0, baseline=("a", "b", 1.0)), "exclude each other"),
+        (SfmConfig(unit_scale_m=1.0, baseline=("a", "b", 1.0)), "cannot be used together"),
         (SfmConfig(synchronous=True), "--synchronous is for the cameras of a rig, but .* holds 12 photogr"),
         (SfmConfig(test_every=1), "--test-every is 1, expected 0, or a whole number of at least 2"),
         (SfmConfig(baseline=("a", "b", float("nan"))), "--baseline is nan"),

@@ -164,7 +164,7 @@ def test_a_length_of_nothing_and_two_lengths():
         checked(SfmConfig(length=KnownLength((end, end), 0.0)))
     with pytest.raises(Tg4mmError, match=r"--length: a has the position nan, 1\.0, expected pixels"):
         checked(SfmConfig(length=KnownLength(((("a", float("nan"), 1.0),), end), 1.0)))
-    with pytest.raises(Tg4mmError, match="--unit-scale-m and --length exclude each other"):
+    with pytest.raises(Tg4mmError, match="--unit-scale-m and --length cannot be used together"):
         checked(SfmConfig(length=KnownLength((end, end), 1.0), unit_scale_m=2.0))
 
 

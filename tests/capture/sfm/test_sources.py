@@ -84,7 +84,7 @@ def test_what_is_refused(tmp_path):
     check("lone", "lone: holds nothing but sweep; expected")
     fill(tmp_path / "mixed", 4)
     fill(tmp_path / "mixed" / "cam", 4)
-    check("mixed", "mixed: holds pictures and cam beside them;", " belong into sweep/")
+    check("mixed", "mixed: holds pictures and cam beside them;", " belong in sweep/")
     videos(tmp_path / "phone", "cam.mp4")
     (tmp_path / "phone" / "sweep").mkdir()
     check("phone", "sweep: holds no pictures; expected .png")

@@ -42,7 +42,8 @@ class TestFaults:
     def test_a_camera_that_moves_is_not_fixed(self, tmp_path):
         survey = looked(write_video(tmp_path / "a.mp4", still(40, shifts=list(range(40)))))
         with pytest.raises(
-            CaptureError, match=r"a\.mp4: is no fixed camera: its picture moves by [12]\d pixels"
+            CaptureError,
+            match=r"a\.mp4: was not filmed by a fixed camera: its picture moves by [12]\d pixels",
         ):
             check_usable([survey], True)
 

@@ -266,7 +266,10 @@ class TestDamage:
         moved = tmp_path / "b.mp4"
         data = whole.read_bytes()
         moved.write_bytes(data[: data.index(b"moov") - 4])
-        with pytest.raises(CaptureError, match=r"the index, is missing; copy it from the camera again$"):
+        with pytest.raises(
+            CaptureError,
+            match=r"its index, at the end of the file, is missing; copy it from the camera again$",
+        ):
             video_info(moved)
 
     def test_sound_alone(self, tmp_path):

@@ -70,7 +70,7 @@ def no_rows(tensors, _):
 
 
 FORGED = {
-    "a negative iteration": (put(iteration=-5), "iteration is -5: no state of 36 iterations on 10 views"),
+    "a negative iteration": (put(iteration=-5), "iteration is -5, which is not valid for 36 iterations on 10 views"),
     "an iteration in words": (put(iteration="7"), 'iteration is "7"'),
     "a view that is not there": (put(order=[10]), r"order is \[10\]"),
     "no psnr": (put(psnr=None), "psnr is null"),
@@ -123,7 +123,7 @@ def with_header(**header):
     ("damage", "match"),
     [
         *((flipped(p), "damaged or edited: its content is not what was written; delete it") for p in (0.3, 0.6, 0.999)),
-        (with_header(digest=None), r"of another version.*; delete it to start the space stage again"),
+        (with_header(digest=None), r"by another version.*; delete it to start the space stage again"),
         (with_header(version="99"), "has version 99, expected 1; delete it"),
     ],
 )  # fmt: skip

@@ -167,7 +167,7 @@ def test_collecting_runs_nothing_and_says_what_is_not_there(data, tmp_path, caps
     assert main(arguments) == 1
     results = json.loads((out / "results.json").read_text(encoding="utf-8"))
     assert [(f["method"], f["why"]) for f in results["failed"]] == [
-        (method, f"{method} on {data.name} is not finished, or is of other settings or pictures")
+        (method, f"{method} on {data.name} is not finished, or was made with other settings or pictures")
         for method in ("modal", "3dmm")
     ]
     assert [line["row"] for line in results["lines"]] == ["linear-2d"]
@@ -266,7 +266,7 @@ def encoded(kind, size):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "does not exist: at an α that has a picture, all are needed"),
+        (None, "does not exist: if there is any picture at an α, all pictures at that α are needed"),
         (encoded("PNG", (16, 32)), "is 16×32 pixels, expected 32×32"),
         (encoded("JPEG", (32, 32)), "is no PNG file"),
     ],

@@ -118,7 +118,7 @@ def test_a_configuration_file_can_name_scenes_seeds_and_methods():
         ({"methods": ["modal", "best"]}, "holds 'best', expected some of modal, "),
         (
             {"scenes": ["mic", "mic --samples 3"]},
-            "'mic --samples 3' and another have the same folder mic_5Hz",
+            "'mic --samples 3' and another scene have the same folder mic_5Hz",
         ),
     ],
 )

@@ -44,7 +44,11 @@ class TestSettings:
             ("paper.resolution", "48", "setting paper.resolution is 48, expected a power of two"),
             ("paper.iterations", "60", r"paper.iterations is 60, expected more than paper.warm_up \(60\)"),
             ("paper.learning_rate", "0", "paper.learning_rate is 0.0, expected a finite number above 0"),
-            ("space.iterations", "9", "space.iterations is 9; with the preset paper it is paper.warm_up"),
+            (
+                "space.iterations",
+                "9",
+                "space.iterations is 9; with the preset paper it must equal paper.warm_up",
+            ),
         ],
     )
     def test_one_out_of_range_leaves_no_run(self, data, tmp_path, name, value, message):

@@ -32,10 +32,10 @@ def test_an_option_is_a_sensor_and_its_text_is_the_option_again(text, sensor):
         ("tip=sphere:1,2,3,-1", "radius -1 must be above 0"),
         ("tip=sphere:1,2,3,1e300", "1e+300 is beyond 1e+09"),
         ("tip=sphere:1,2,nan,1", "expected sphere"),
-        ("tip=box:1,0,0,0,1,1", "first corner must be the lower one"),
+        ("tip=box:1,0,0,0,1,1", "each of X0, Y0, Z0 must be below X1, Y1, Z1"),
         ("../tip=all", "sensor name '../tip'"),
         ("tip=pixel:", "expected pixel:CAMERA,X,Y"),
-        ("tip=cluster:1.5", "not the number of a cluster"),
+        ("tip=cluster:1.5", "cluster number 1.5 must be a whole number"),
         ("", "is no region"),
     ],
 )

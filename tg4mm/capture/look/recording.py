@@ -125,7 +125,9 @@ def _folder(path: Path, fps: float | None, small_cells: bool) -> CellSeries:
     if not files:
         raise CaptureError(f"{path}: holds no pictures ({', '.join(IMAGE_SUFFIXES)})")
     if fps is None:
-        raise CaptureError(f"{path}: a folder of pictures has no times; give --fps, pictures a second")
+        raise CaptureError(
+            f"{path}: a folder of pictures has no frame times; give the frame rate with --fps HZ"
+        )
     check_numbers(files)
 
     def pictures() -> Iterator[GreyPicture]:

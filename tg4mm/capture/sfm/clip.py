@@ -309,7 +309,7 @@ def find_sources(path: Path, timed: bool = False) -> Sources:
         if clips:
             raise CaptureError(
                 f"{path}: holds pictures and {clips[0].name} beside them; pictures of the scene at rest belong "
-                f"into {SWEEP}/; {LAYOUTS}"
+                f"in {SWEEP}/; {LAYOUTS}"
             )
         if len(pictures) < FEWEST:
             raise CaptureError(f"{path}: holds {len(pictures)} pictures, at least {FEWEST} are needed")

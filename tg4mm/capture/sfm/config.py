@@ -58,7 +58,7 @@ def checked(config: SfmConfig) -> SfmConfig:
     given = [name for name, value in scales.items() if value is not None]
     if len(given) > 1:
         raise Tg4mmError(
-            f"{' and '.join(given)} exclude each other: each gives the scene's scale; give only one"
+            f"{' and '.join(given)} cannot be used together: each gives the scene's scale; give only one"
         )
     return config
 

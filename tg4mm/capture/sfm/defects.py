@@ -150,16 +150,16 @@ def _duplicates(survey: Survey) -> str:
 
 def motion_of(survey: Survey) -> str:
     """Return the reason, one clause, why a camera counts as moving."""
-    return _moves(survey).removeprefix("is no fixed camera: ")
+    return _moves(survey).removeprefix("was not filmed by a fixed camera: ")
 
 
 def _moves(survey: Survey) -> str:
     seen = survey.shifts_px[np.isfinite(survey.shifts_px).all(axis=1)]
     alike = len(seen) / len(survey)
     if alike < 0.5:
-        return f"is no fixed camera: {1 - alike:.0%} of its pictures are unlike the first"
+        return f"was not filmed by a fixed camera: {1 - alike:.0%} of its pictures are unlike the first"
     away = np.linalg.norm(seen - np.median(seen, axis=0), axis=1).max()
-    return f"is no fixed camera: its picture moves by {away:.0f} pixels"
+    return f"was not filmed by a fixed camera: its picture moves by {away:.0f} pixels"
 
 
 def _fault_text(survey: Survey, found: Stretches) -> str:

@@ -121,7 +121,9 @@ def saved_model(folder: Path) -> Any:
     except (OSError, ValueError):
         is_whole = False
     if not is_whole:
-        raise CaptureError(f"{folder}: is not as COLMAP wrote it; remove it and give the command again")
+        raise CaptureError(
+            f"{folder}: has changed since COLMAP wrote it, or is damaged; remove it and run the command again"
+        )
     return colmap("tg4mm sfm").Reconstruction(folder)
 
 

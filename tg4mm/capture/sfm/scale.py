@@ -245,7 +245,8 @@ def triangulated(sights: Sequence[Sight], steps: int = 10) -> Spot:
     miss = float(np.linalg.norm(residual.reshape(-1, 2), axis=1).max()) * CLICK_PX
     if not miss <= MISFIT_PX:
         raise Tg4mmError(
-            f"--length: {names} do not show the same point there: they miss it by {miss:.0f} pixels"
+            f"--length: the pixels given in {names} do not show the same point: they are up to {miss:.0f} pixels off; "
+            "mark the point again"
         )
     if behind := [s.name for s in sights if s.pose[2, :3] @ xyz + s.pose[2, 3] <= 0]:
         raise Tg4mmError(

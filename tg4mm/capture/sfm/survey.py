@@ -98,7 +98,7 @@ def survey_clip(clip: Clip, folder: Path, window: TimeWindow, keep_duplicates: b
     try:
         return _read(clip, folder, read_record(path).values)
     except (CaptureError, KeyError, TypeError, ValueError, ArithmeticError):
-        raise CaptureError(f"{path}: is damaged or edited; remove it and give the command again") from None
+        raise CaptureError(f"{path}: is damaged or edited; remove it and run the command again") from None
 
 
 def _looked_through(clip: Clip, folder: Path, window: TimeWindow, keep_duplicates: bool) -> dict[str, Any]:

@@ -190,7 +190,10 @@ def _colour(path: Path, page: int, tags: dict) -> np.ndarray:
         or kinds != {_INTEGERS}
         or extra not in ((), (0,), (2,))
     ):
-        raise ValueError("is neither grey nor RGB of 8 or 16 bits with straight alpha")
+        raise ValueError(
+            "is neither grey nor RGB with 8 or 16 bits per channel; an alpha channel, if there is one, must be "
+            "straight (not premultiplied)"
+        )
     if tags.get(_TURNED, 1) != 1:
         raise ValueError("is 16-bit colour that is to be turned")
     try:

@@ -329,7 +329,8 @@ def _ours(document: Document) -> dict[str, Any] | None:
     )
     if not good or len(about["alphas"]) != len(about["frequencies_hz"]):
         raise SplatFileError(
-            f"extras.tg4mm holds {str(about)[:60]}; expected frequencies_hz and alphas alike"
+            f"extras.tg4mm holds {str(about)[:60]}; expected two lists of numbers of the same length, "
+            "frequencies_hz and alphas"
         )
     for key in ("fps", "unit_scale_m", "time_origin_s", "n_timesteps"):
         if about.get(key) is not None and not Number().fits(about[key]):

@@ -229,6 +229,6 @@ def _parsed(lines: Iterator[bytes], element: Element) -> Iterator[np.ndarray]:
         if len(numbers) != rows * width:
             last = start + rows - 1
             raise SplatFileError(
-                f"{element.name} {start} to {last}: expected {width} numbers in each of these lines"
+                f"rows {start} to {last} of element {element.name}: expected {width} numbers in each row"
             )
         yield numbers.view(element.dtype(ASCII))

@@ -226,7 +226,8 @@ def parsed_frequencies(text: str) -> tuple[float, ...]:
             value = math.nan
         if not 0 <= value < math.inf:
             raise SplatFileError(
-                f"frequencies {text!r}: {word!r} is none; expected numbers in Hz such as 5, 7.5"
+                f"frequencies {text!r}: {word!r} is not a frequency; expected numbers of at least 0 in Hz, "
+                "such as 5, 7.5"
             )
         found.append(value)
     return tuple(found)

@@ -184,13 +184,14 @@ def _motion(
         return {}, 0
     if not options.freqs_hz:
         notes.append(
-            f"opened still: it has {n_mode} properties of modes but no 'comment tg4mm' line with their frequencies; "
-            "say these to let it move"
+            f"opened without motion: it has {n_mode} mode properties but no 'comment tg4mm' line with their "
+            "frequencies; give the frequencies to play its motion"
         )
         return {}, 0
     if len(options.freqs_hz) != there or n_mode != 12 * there:
         raise SplatFileError(
-            f"{len(options.freqs_hz)} frequencies were given, and the file has {n_mode} mode properties, twelve a mode"
+            f"{len(options.freqs_hz)} frequencies were given, but the file has {n_mode} mode properties, twelve for "
+            "each mode: give one frequency for each mode"
         )
     notes.append(f"frequencies as given: {', '.join(f'{f:g}' for f in options.freqs_hz)} Hz")
     frequencies = list(options.freqs_hz)

@@ -28,7 +28,8 @@ def head_of_splat(size: int) -> Head:
     """Derive the header from the file's length."""
     if size == 0 or size % _RECORD.itemsize:
         raise SplatFileError(
-            f"is {size} bytes long; a .splat has {_RECORD.itemsize} a Gaussian: it is cut off, or something else"
+            f"is {size} bytes long, not a positive multiple of the {_RECORD.itemsize} bytes per Gaussian of a .splat: "
+            "it is cut off, or is not a .splat file"
         )
     return Head(".splat", size // _RECORD.itemsize)
 

@@ -188,7 +188,9 @@ def _harmonics(meta: dict[str, Any], pixels: Any, flat: Any) -> np.ndarray:
     which = labels[:, 0] + 256 * labels[:, 1]
     sets = centroids.reshape(-1, k, 4)[:, :, :3]
     if which.max() >= len(sets):
-        raise SplatFileError(f"a Gaussian names set {which.max()} of coefficients; there are {len(sets)}")
+        raise SplatFileError(
+            f"a Gaussian refers to coefficient set {which.max()}, but there are only {len(sets)}, numbered from 0"
+        )
     return _looked_up(table, sets.reshape(-1, 3)).reshape(-1, k, 3)[which]
 
 

@@ -97,7 +97,9 @@ class ModalMotion:
         if self.gains is None:
             return np.asarray(np.exp(2j * np.pi * np.asarray(self.freqs_hz) * t / self.fps))
         if t != int(t) or not 0 <= t < self.gains.shape[1]:
-            raise RunError(f"timestep {t:g}: this motion is known at 0 … {self.gains.shape[1] - 1}")
+            raise RunError(
+                f"timestep {t:g}: this motion is only defined at whole timesteps 0 … {self.gains.shape[1] - 1}"
+            )
         return np.asarray(self.gains[:, int(t)])
 
     def is_magnified(self) -> np.ndarray:

@@ -283,7 +283,7 @@ def check_checkpoint(
     `config` has its zeros filled in; `pictures` is the digest of the n_views pictures.
     """
     if state.get("pictures") != pictures:
-        raise RunError("cameras or pictures of the dataset have changed since")
+        raise RunError("cameras or pictures of the dataset have changed since the checkpoint was written")
     _check_state(state, n_views, config)
     _check_tensors(tensors, state["iteration"], n_views, config)
 
@@ -299,7 +299,9 @@ def _check_state(state: Mapping[str, Any], n_views: int, config: SpaceConfig) ->
     for name, is_good in good.items():
         if not is_good:
             text = json.dumps(state.get(name))
-            raise RunError(f"{name} is {text}: no state of {config.iterations} iterations on {n_views} views")
+            raise RunError(
+                f"{name} is {text}, which is not valid for {config.iterations} iterations on {n_views} views"
+            )
 
 
 def _check_tensors(tensors: Mapping[str, Tensor], iteration: int, n_views: int, config: SpaceConfig) -> None:

@@ -71,7 +71,7 @@ def run_job(
     place = job_folder(out, data, method)
     if collect and not _Kept(place / SCORES).entries:
         raise BenchError(
-            f"{method.name} on {data.label} is not finished, or is of other settings or pictures"
+            f"{method.name} on {data.label} is not finished, or was made with other settings or pictures"
         )
     claim_set(Path(out), data.label, data.root, data.digest, filmed_digest(data.root))
     figures = method.fit(data, place, plan)
@@ -133,7 +133,9 @@ def _at(
         recipe, old = _found(method, row, data, place, alpha, plan)
         known = kept.known(row, alpha, _asked(recipe, data, alpha, plan, vqa))
         if old is None or known is None:
-            raise BenchError(f"{row} on {data.label} is not finished, or is of other settings or pictures")
+            raise BenchError(
+                f"{row} on {data.label} is not finished, or was made with other settings or pictures"
+            )
         return old, known
     capture = truth_at(data, alpha)
     record = rendered(method, row, data, place, capture, alpha, plan)

@@ -150,7 +150,7 @@ def _datasets(chosen: BenchPreset, out: str) -> list[_Data]:
             label = folder if seed is None else f"{folder}_s{seed}"
             if label in found:
                 raise BenchError(
-                    f"scenes {scene!r} and another have the same folder {folder}: rename one by --name"
+                    f"scene {scene!r} and another scene have the same folder {folder}: rename one with --name"
                 )
             given = f"{parent}/{folder}" if seed is None else f"{label}={parent}/{folder}"
             step = f"data/{folder}" if seed is None else f"data/seed{seed}/{folder}"
@@ -239,7 +239,9 @@ def main() -> int:
         for key in ("preset", "out", "python"):
             value = config.get(key)
             if not (isinstance(value, str) and value and value.isprintable() and value[0] != "-"):
-                raise BenchError(f"configuration: {key} is {value!r}, expected a text that is no option")
+                raise BenchError(
+                    f"configuration: {key} is {value!r}, expected non-empty printable text that does not begin with -"
+                )
         choices = choices_from(config)
         choices.check()
         steps = steps_of(preset_from(config), config["out"].rstrip("/"), config["python"], choices)

@@ -45,7 +45,7 @@ def release(root: Path, version: str) -> list[Path]:
     Raises BenchError without a dataset, and for an invalid version.
     """
     if not re.fullmatch(r"[\w.+-]+", version):
-        raise BenchError(f"--version {version!r}: letters, digits, and . + - alone")
+        raise BenchError(f"--version {version!r}: use only letters, digits, _ . + and -")
     datasets = sorted(file.parent for file in root.rglob("scene.json") if (file.parent / "000").is_dir())
     if not datasets:
         raise BenchError(f"{root} holds no dataset: expected a folder with scene.json and 000/")

@@ -191,7 +191,7 @@ class _Bench:
     def _check_trained(self, method: Trained, data: BenchSet) -> None:
         if not is_measured(job_folder(self.out, data, method), data, method.training, self.request.plan):
             raise BenchError(
-                f"{method.name} on {data.label} is not finished, or is of other settings or pictures"
+                f"{method.name} on {data.label} is not finished, or was made with other settings or pictures"
             )
 
     def _keep(self, method: Method, data: BenchSet, figures: dict[str, Any], lines: list[TableLine]) -> None:

@@ -107,8 +107,8 @@ def base_config(space: SpaceConfig, config: PaperConfig) -> SpaceConfig:
     """Settings of the base Gaussians' own fit: `paper.warm_up` iterations. Raises Tg4mmError where both are given."""
     if space.iterations not in (0, config.warm_up):
         raise Tg4mmError(
-            f"setting space.iterations is {space.iterations}; with the preset paper it is paper.warm_up "
-            f"({config.warm_up}), and paper.iterations counts both"
+            f"setting space.iterations is {space.iterations}; with the preset paper it must equal paper.warm_up "
+            f"({config.warm_up}): leave it out and set paper.warm_up; paper.iterations includes the warm-up"
         )
     return replace(space, iterations=config.warm_up)
 

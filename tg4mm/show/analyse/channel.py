@@ -122,7 +122,10 @@ def _of_folder(path: Path, every: bool) -> list[Channel]:
             for channel in _of_series(content, sensor, s, every)
         ]  # fmt: skip
     if not out:
-        raise AnalyseError(f"{path}: no sensor observes a direction")
+        raise AnalyseError(
+            f"{path}: no sensor could measure motion in any direction; choose sensors on visible, textured surfaces "
+            "and measure again"
+        )
     return out
 
 

@@ -57,7 +57,9 @@ def operational(channels: Sequence[Channel], band: tuple[float, float] | None = 
         from pyoma2.setup import SingleSetup
     first = channels[0]
     if any(not np.array_equal(c.times_s, first.times_s) for c in channels):
-        raise AnalyseError("--modes: the channels are not on the same times")
+        raise AnalyseError(
+            "--modes: the channels were not sampled at the same times; choose channels of one recording with --channel"
+        )
     if len(first.values) < 20 * _LAGS:
         raise AnalyseError(f"--modes: {len(first.values)} samples, expected {20 * _LAGS} or more")
     lo, hi = band or (2 / first.duration_s, first.rate / 2)

@@ -85,11 +85,14 @@ def _of_tacho(path: Path, times: np.ndarray) -> Speed:
     if not np.isfinite(table).all():
         row = int(np.argwhere(~np.isfinite(table))[0, 0])
         raise AnalyseError(f"{path}, value {row + 1} of {len(table)}: is missing; leave its row out")
-    own, covers = table[:, 0], f"the film {times[0]:.4g} to {times[-1]:.4g} s"
+    own = table[:, 0]
     if len(own) < _PULSES or not (np.diff(own) > 0).all():
         raise AnalyseError(f"{path}: expected {_PULSES} or more times that increase")
     if own[0] > times[0] or own[-1] < times[-1]:
-        raise AnalyseError(f"{path}: covers {own[0]:.4g} to {own[-1]:.4g} s, {covers}")
+        raise AnalyseError(
+            f"{path}: covers {own[0]:.4g} to {own[-1]:.4g} s, but the film runs from {times[0]:.4g} to "
+            f"{times[-1]:.4g} s; the file must cover all of it"
+        )
     if head[0] == "pulse_s":  # one a turn
         angle = PchipInterpolator(own, 2 * np.pi * np.arange(len(own)))
         return Speed(f"{path}, a pulse a turn", angle(times), angle(times, 1) / (2 * np.pi))

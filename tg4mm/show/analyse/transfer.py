@@ -163,8 +163,9 @@ def lag_of(response: Channel, reference: Channel) -> Value:
     likelier = independent / 2 * np.log((1 - others[rival]) / (1 - explained[best]))
     if likelier < np.log(1 / _CHANCE) or others[rival] > _ALIKE * explained[best]:
         raise AnalyseError(
-            f"{response.name} and {reference.name} repeat themselves or have nothing in common: a lag that is "
-            f"{abs(lags[rival] - lags[best]) / response.rate:.4g} s off would do as well; --lag SECONDS gives it"
+            f"{response.name} and {reference.name} repeat themselves or have nothing in common, so the lag is "
+            f"ambiguous: one that is {abs(lags[rival] - lags[best]) / response.rate:.4g} s off fits as well; give it "
+            "with --lag SECONDS"
         )
     lag = lags[best] / response.rate + response.times_s[0] - reference.times_s[0]
     return _refined(response, y, spline, lag)
@@ -179,7 +180,8 @@ def _refined(response: Channel, y: np.ndarray, spline: CubicSpline, lag: float) 
         inside = (t >= first) & (t <= last)
         if inside.sum() < _FEWEST:
             raise AnalyseError(
-                f"{response.name} and the other record share {int(inside.sum())} samples at the lag {lag:.4g} s"
+                f"{response.name} and the other record overlap by only {int(inside.sum())} samples at a lag of "
+                f"{lag:.4g} s, at least {_FEWEST} are needed; check --lag"
             )
         x, slope, own = spline(t[inside]), spline(t[inside], 1), y[inside]
         size = float(x @ own / max(x @ x, 1e-300))

@@ -97,7 +97,10 @@ def _waveform(number: str, lines: list[str], content: bytes, metres: float) -> T
     is_even = spacing == 1
     if number.startswith("58b"):
         if not is_even and data_type == _DOUBLE:
-            raise ValueError("uneven binary functions of double precision are not read")
+            raise ValueError(
+                "binary functions with uneven spacing in double precision cannot be read; write them with even spacing "
+                "or in single precision"
+            )
         numbers = np.frombuffer(content, number[-1] + ("f4" if data_type == _SINGLE else "f8")).astype(float)
     else:
         numbers = np.array(list(_numbers(content.decode("latin-1"), _WIDTHS[data_type, is_even])))

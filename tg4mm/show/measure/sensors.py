@@ -65,7 +65,9 @@ class Sensor:
     def _check_values(self) -> None:
         v = self.values
         if self.region == "box" and not all(a < b for a, b in zip(v[:3], v[3:], strict=True)):
-            raise MeasureError(f"sensor {self.name}: box {list(v)}: its first corner must be the lower one")
+            raise MeasureError(
+                f"sensor {self.name}: box {list(v)}: each of X0, Y0, Z0 must be below X1, Y1, Z1"
+            )
         if self.region in ("sphere", "pixel") and v[-1] <= 0:
             raise MeasureError(f"sensor {self.name}: radius {v[-1]:g} must be above 0")
         if max(map(abs, v), default=0) > FARTHEST:
@@ -73,7 +75,9 @@ class Sensor:
         if self.region in OF_PICTURE and not self.camera:
             raise MeasureError(f"sensor {self.name}: expected {_FORMS[self.region]}, a camera is missing")
         if self.region == "cluster" and (v[0] < 0 or v[0] != int(v[0])):
-            raise MeasureError(f"sensor {self.name}: cluster {v[0]:g} is not the number of a cluster")
+            raise MeasureError(
+                f"sensor {self.name}: cluster number {v[0]:g} must be a whole number of at least 0"
+            )
 
     def __str__(self) -> str:
         if self.region == "all":

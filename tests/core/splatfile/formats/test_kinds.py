@@ -290,7 +290,11 @@ def test_strange_columns(change, part, tmp_path):
         ("a.pth", b"PK\3\4" + bytes(500), "is a checkpoint of PyTorch"),
         ("a.usdc", b"PXR-USDC" + bytes(90), "is USD: not read"),
         ("a.spz", b"hello" * 30, "does not begin as .spz files do"),
-        ("a.splat", b"hello", "is 5 bytes long; a .splat has 32 a Gaussian"),
+        (
+            "a.splat",
+            b"hello",
+            "is 5 bytes long, not a positive multiple of the 32 bytes per Gaussian of a .splat",
+        ),
         ("a.sog", b"PK\x03\x04" + bytes(90), "is damaged"),
         ("a.json", b'{"a": 1}', "is JSON, but neither glTF nor the meta.json of a SOG"),
         ("a.gltf", b'{"asset": {"version": "2.0"}}', "is glTF without Gaussian splats"),
@@ -349,13 +353,13 @@ def test_a_file_that_lost_its_frequencies_opens_still_or_with_those_that_are_sai
     path.write_bytes(re.sub(rb"comment tg4mm .*\n", b"", path.read_bytes()))
     still_read, head = read_splat(path), read_head(path)
     assert (still_read.n_modes, head.n_modes, head.n_lost) == (0, 0, 2)
-    said = "opened still: it has 24 properties of modes but no 'comment tg4mm' line"
+    said = "opened without motion: it has 24 mode properties but no 'comment tg4mm' line"
     assert still_read.notes[0].startswith(said)
     said = read_splat(path, freqs_hz=splat.freqs_hz, fps=30.0)
     kept = {"notes": (), "n_timesteps": splat.n_timesteps, "time_origin_s": splat.time_origin_s}
     assert_same(replace(said, **kept), splat)
     assert said.n_timesteps == round(30 / splat.freqs_hz.min())
-    with pytest.raises(SplatFileError, match="1 frequencies were given, and the file has 24 mode properties"):
+    with pytest.raises(SplatFileError, match="1 frequencies were given, but the file has 24 mode properties"):
         read_splat(path, freqs_hz=[5.0])
     with pytest.raises(SplatFileError, match=r"fps is 0; expected"):
         read_splat(path, freqs_hz=[5.0, 6.0], fps=0)

@@ -52,7 +52,9 @@ def submitted(folder: Path, data: BenchSet) -> dict[str, Any]:
     if not file.is_file():
         return {}
     if not file.resolve().is_relative_to(folder.resolve()):
-        raise BenchError(f"{file} leads out of its folder, to {file.resolve()}")
+        raise BenchError(
+            f"{file} is a link that points outside its folder, to {file.resolve()}; put the file itself there"
+        )
     points = load_capture(data.root).points
     if points is None:
         raise BenchError(f"{file}: dataset {data.root} has no points3d.ply that displacements could be of")
@@ -131,7 +133,9 @@ class External:
         for i in range(len(truth)):
             path = self.folder / data.label / picture_name(truth, i)
             if not path.is_file():
-                raise BenchError(f"{path} does not exist: at an α that has a picture, all are needed")
+                raise BenchError(
+                    f"{path} does not exist: if there is any picture at an α, all pictures at that α are needed"
+                )
             with path.open("rb") as file:
                 if file.read(len(_PNG)) != _PNG:
                     raise BenchError(f"{path}: is no PNG file")
