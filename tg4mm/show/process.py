@@ -48,7 +48,9 @@ from tg4mm.show.web.write import export_html
 # 960×544 took 348 s in all, 120 of 240×160 106 s. In 3D 262 pictures of 600×800 took 1,630 s, beside other work.
 _FLAT_S = 0.16 + 1.34, 25.0, 90.0
 _DEEP_S = 9.0 + 1.34, 0.0, 120.0
-_FLAT_GB, _DEEP_GB = 0.25, 9.0  # for each megapixel of one picture
+_FLAT_GB, _DEEP_GB = 0.25, 1.7  # for each megapixel of one picture
+# of the modes in 3D, in addition; up to so many megapixels, since the number of Gaussians is limited
+_MODES_GB, _MODES_MP = 7.3, 0.5
 # in any case; in addition for all pictures, up to so many megapixels
 _LEAST_GB, _MORE_GB, _ALL_MP = 0.6, 1.4, 150.0
 _NAMED = 2  # vibrations
@@ -71,6 +73,7 @@ def estimate_line(sources: Sources, config: SfmConfig) -> str:
     of_all, of_one, always = _DEEP_S if has_depth else _FLAT_S
     seconds = of_all * every + of_one * one + always
     memory = _LEAST_GB + _MORE_GB * min(1.0, every / _ALL_MP) + (_DEEP_GB if has_depth else _FLAT_GB) * one
+    memory += _MODES_GB * min(one, _MODES_MP) if has_depth else 0.0
     what = "in 3D" if has_depth else "one fixed camera"
     return (
         f"{pictures} pictures of {size[0]}×{size[1]}, {what}: about {_about(seconds)} of processor time and "
