@@ -98,7 +98,11 @@ def test_the_command_writes_and_prints_them(tmp_path, capsys):
     [
         ("pulse_s\n0\n1\n", [], "4 or more times"),
         ("pulse_s\n0\n2\n1\n20\n", [], "4 or more times that increase"),
-        ("time_s,speed_rpm\n1,600\n2,600\n3,600\n4,600\n", [], "covers 1 to 4 s, but the film runs from 0 to 11.99 s"),
+        (
+            "time_s,speed_rpm\n1,600\n2,600\n3,600\n4,600\n",
+            [],
+            "covers 1 to 4 s, but the film runs from 0 to 11.99 s",
+        ),
         ("time_s,speed_rpm\n-1,600\n2,-5\n3,600\n14,600\n", [], "expected above 0"),
         ("a,b\n1,2\n", [], "columns are a, b; expected pulse_s"),
         ("pulse_s\nx\n", [], "no rows below a header"),
