@@ -6,6 +6,8 @@ import bpy
 
 from .errors import GenerateError
 
+BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")  # OptiX before CUDA: the same cards, faster
+
 
 def is_5() -> bool:
     """Return whether this is Blender 5.0 or later."""
@@ -46,9 +48,6 @@ def use_physical_sky(node: bpy.types.ShaderNodeTexSky) -> None:
     """The sky model of single scattering with a sun disc, called Nishita before 5.0."""
     node.sky_type = "SINGLE_SCATTERING" if is_5() else "NISHITA"
     node.sun_disc = True
-
-
-BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")  # OptiX before CUDA: the same cards, faster
 
 
 def cycles_preferences() -> Any:

@@ -48,6 +48,15 @@ PRESETS: dict[str, dict[str, Any]] = {
     "demo": {},
     "paper": {"size": 512, "test_views": 10, "samples": 128, "points": 50000},
 }  # fmt: skip
+_EXCLUSIVE = ("--amplitude", "--amplitude-px", "--prepare", "--part", "--finish")  # within their group
+_WHOLE = 1e-6  # periods
+
+# What an animation, which is not rendered, has no use for.
+_OF_PICTURES = (
+    "samples", "points", "engine", "device", "images", "background", "sensor", "jpeg", "alphas", "truth",
+    "shake", "exposure_drift", "flicker", "flicker_hz", "readout", "shutter", "noise", "codec", "crf", "keep_video",
+)  # fmt: skip
+_OF_WORK = ("out", "prepare", "part", "finish", "parts", "processes")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -76,9 +85,6 @@ def parser() -> argparse.ArgumentParser:
                 exclusive = exclusive or group.add_mutually_exclusive_group()
             (exclusive if exclusive and flag in _EXCLUSIVE else group).add_argument(flag, **about)
     return p
-
-
-_EXCLUSIVE = ("--amplitude", "--amplitude-px", "--prepare", "--part", "--finish")  # within their group
 
 
 def _groups() -> dict[str, dict[str, dict[str, Any]]]:
@@ -330,9 +336,6 @@ def whole_periods(least: int, hz: float, fps: float) -> int:
     return max(least, math.ceil(fps / hz)) if fps / hz <= 10 * least else least
 
 
-_WHOLE = 1e-6  # periods
-
-
 def _sensor(options: argparse.Namespace) -> ImageSensor | None:
     sensor = ImageSensor.preset(options.sensor or "none")
     if options.jpeg is None:
@@ -340,14 +343,6 @@ def _sensor(options: argparse.Namespace) -> ImageSensor | None:
     if sensor is None:
         raise GenerateError(f"--jpeg {options.jpeg} needs --sensor")
     return replace(sensor, jpeg_quality=options.jpeg or None)
-
-
-# What an animation, which is not rendered, has no use for.
-_OF_PICTURES = (
-    "samples", "points", "engine", "device", "images", "background", "sensor", "jpeg", "alphas", "truth",
-    "shake", "exposure_drift", "flicker", "flicker_hz", "readout", "shutter", "noise", "codec", "crf", "keep_video",
-)  # fmt: skip
-_OF_WORK = ("out", "prepare", "part", "finish", "parts", "processes")
 
 
 def check_together(options: argparse.Namespace, values: Mapping[str, Any]) -> None:

@@ -21,6 +21,9 @@ from tg4mm.core.pictures import exr, png
 
 from .errors import GenerateError, check_choice, check_whole, check_within
 
+IMAGES = ("png8", "png16", "exr")
+BACKGROUNDS = ("transparent", "white")
+
 
 def to_integers(values: np.ndarray, bits: int) -> np.ndarray:
     """Values in 0 … 1, clipped, to the nearest of 0 … 2^bits − 1: uint8 for 8 bits, uint16 for 16."""
@@ -172,10 +175,6 @@ def _jpeg(rgb: np.ndarray, quality: int) -> np.ndarray:
     Image.fromarray(rgb).save(packed, "JPEG", quality=quality, subsampling="4:2:0")
     with Image.open(packed) as image:
         return np.asarray(image.convert("RGB"))
-
-
-IMAGES = ("png8", "png16", "exr")
-BACKGROUNDS = ("transparent", "white")
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,8 @@ from .settings import Quality
 _POINT_FILTER = 0.01
 _PIXEL_FILTER = 1.5  # px, of pictures
 _BRIGHTEST = 65504.0  # what the file formats hold; a path that went wrong may be infinite
+_TRANSMITS = {"ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction", "ShaderNodeBsdfTranslucent"}
+_TRANSPARENT = {"ShaderNodeBsdfTransparent", "ShaderNodeBsdfRayPortal", "ShaderNodeHoldout"}
 
 
 def configure(stage: Stage, quality: Quality) -> str:
@@ -214,10 +216,6 @@ def read_passes(path: Path) -> dict[str, np.ndarray]:
         "Position": np.stack([found[f"Position{c}"] for c in "XYZ"], -1),
         "Displacement": np.stack([found[f"displacement{c}"] for c in aov], -1),
     }
-
-
-_TRANSMITS = {"ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction", "ShaderNodeBsdfTranslucent"}
-_TRANSPARENT = {"ShaderNodeBsdfTransparent", "ShaderNodeBsdfRayPortal", "ShaderNodeHoldout"}
 
 
 @dataclass(frozen=True)

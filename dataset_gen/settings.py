@@ -19,6 +19,7 @@ KINDS = ("builtin", "blend", "mesh")
 ENGINES = ("cycles", "eevee")
 DEVICES = ("cpu", "gpu", "auto")
 _LIMIT_SIZE = (8, 4096)
+_PLAIN = ("scene", "size", "samples", "seed", "noise", "truth", "points", "engine", "device")
 
 
 @dataclass(frozen=True)
@@ -117,9 +118,6 @@ class Settings:
             sensor=ImageSensor.from_json(data["sensor"]) if data["sensor"] else None,
             effects=Effects(**data["effects"]),
         )
-
-
-_PLAIN = ("scene", "size", "samples", "seed", "noise", "truth", "points", "engine", "device")
 
 
 def motion_file(scene: str, asked: Path | None = None) -> Path:

@@ -23,6 +23,7 @@ from .vibration import Motion
 
 FORMAT_VERSION = 1
 TIMING = {"pictures": int, "seconds": float, "processes": int}  # report/timing.json
+CAMERAS = "truth/cameras.json"
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -111,9 +112,6 @@ def write_poses(root: Path, settings: Settings) -> None:
             for folder in folders if cameras else ():
                 data = transforms(cameras, split, t / settings.fps, size, size, suffix, still)
                 write_json(folder / f"transforms_{split}.json", data)
-
-
-CAMERAS = "truth/cameras.json"
 
 
 def write_cameras(root: Path, settings: Settings, motion: Motion) -> None:

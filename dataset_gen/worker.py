@@ -27,6 +27,8 @@ from .settings import Quality, Settings, Source
 from .sources.assemble import LoadedScene
 from .vibration import Body, State
 
+_NEXT_SEED = 7_368_787  # between the moments of an exposure, so that their noise is not the same
+
 
 def work(job_path: Path) -> int:
     """Do the task of a JSON file and return the exit status."""
@@ -119,7 +121,6 @@ def _render_shots(job: dict[str, Any], report: TextIO) -> None:
 # Linear light [H, W, 4] of one of a shot's pictures; of None, as the camera stands.
 Take = Callable[[PlannedPicture | None], np.ndarray]
 _Rasters = dict[str, np.ndarray]  # [H, W, ...]
-_NEXT_SEED = 7_368_787  # between the moments of an exposure, so that their noise is not the same
 
 
 class _Photographer:

@@ -14,6 +14,8 @@ import dataset_gen
 from .runner import Job, JobStep
 
 GENERATOR = Path(str(dataset_gen.__file__)).with_name("blender_main.py")
+INTERVAL_S = 0.25
+GENERATE, TRAIN = "generate", "train"  # the kinds
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,6 @@ def environment() -> dict[str, str]:
 def _text(value: str | int | float) -> str:
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
-
-INTERVAL_S = 0.25
-GENERATE, TRAIN = "generate", "train"  # the kinds
 
 _jobs: dict[str, Job] = {}
 _ends: dict[str, Callable[[Job], None]] = {}

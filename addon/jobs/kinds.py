@@ -9,6 +9,17 @@ import bpy
 from dataset_gen.errors import GenerateError
 from dataset_gen.vibration import MotionDescription, read_motion
 
+# Settings that have another name than their key, and those that are left out of the description where they are 0.
+_SETTINGS = {
+    "pivot": "point",
+    "base": "point",
+    "centre": "point",
+    "normal": "axis",
+    "x": "direction",
+    "size": "sides",
+}
+_OPTIONAL = ("length", "decay_length", "thickness")
+
 
 class KindKey(NamedTuple):
     """One key of a vibration kind in a motion description."""
@@ -23,18 +34,6 @@ class VibrationKind(NamedTuple):
     label: str
     description: str
     rows: tuple[KindKey, ...]
-
-
-# Settings that have another name than their key, and those that are left out of the description where they are 0.
-_SETTINGS = {
-    "pivot": "point",
-    "base": "point",
-    "centre": "point",
-    "normal": "axis",
-    "x": "direction",
-    "size": "sides",
-}
-_OPTIONAL = ("length", "decay_length", "thickness")
 
 
 def _rows(keys: str, **texts: str) -> tuple[KindKey, ...]:

@@ -11,6 +11,7 @@ from dataset_gen.errors import GenerateError
 from .. import names
 
 _GLOB = str.maketrans({"[": "[[]", "*": "[*]", "?": "[?]"})
+PLACES, HEADINGS, HEIGHTS = ("point", "tip"), ("axis", "direction"), ("level",)
 
 
 def moving(settings: Any) -> list[Any]:
@@ -69,9 +70,6 @@ def _vector(corner: Sequence[float]) -> Any:
 def unsaved_images() -> list[str]:
     """Return the names of images with unsaved painting, which a copy of the file lacks."""
     return [image.name for image in bpy.data.images if image.is_dirty and image.source != "VIEWER"]
-
-
-PLACES, HEADINGS, HEIGHTS = ("point", "tip"), ("axis", "direction"), ("level",)
 
 
 def fit(settings: Any, low: np.ndarray, high: np.ndarray) -> None:

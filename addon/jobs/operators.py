@@ -17,6 +17,8 @@ from . import commands, generating, objects, training
 
 _ui = Declared()
 register, unregister = _ui.register, _ui.unregister
+_FIELDS = [(name, name, "") for name in (*objects.PLACES, *objects.HEADINGS, *objects.HEIGHTS)]
+_JOBS = [(kind, kind, "") for kind in (commands.GENERATE, commands.TRAIN)]
 
 
 @_ui.operator("Move Selected Objects", poll=lambda context: context.selected_objects)
@@ -42,9 +44,6 @@ def fit_mode(operator: Any, context: Any) -> None:
     """Fit positions, directions and lengths of the mode to the bounds of the moving objects, or of the active one"""
     corners = objects.box(objects.chosen(context), context.evaluated_depsgraph_get())
     objects.fit(context.scene.tg4mm_generate, *corners)
-
-
-_FIELDS = [(name, name, "") for name in (*objects.PLACES, *objects.HEADINGS, *objects.HEIGHTS)]
 
 
 @_ui.operator("From 3D Cursor", setting=EnumProperty(items=_FIELDS, options={"HIDDEN"}))
@@ -114,9 +113,6 @@ class IO_FH_tg4mm_video(bpy.types.FileHandler):
 
 
 _ui.classes += [IMPORT_SCENE_OT_tg4mm_video, IO_FH_tg4mm_video]
-
-
-_JOBS = [(kind, kind, "") for kind in (commands.GENERATE, commands.TRAIN)]
 
 
 @_ui.operator("Cancel", undo=False, kind=EnumProperty(items=_JOBS, options={"HIDDEN"}))

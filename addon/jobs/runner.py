@@ -21,6 +21,13 @@ from tg4mm.core.progress import clock_text
 _MARK = '{"tg4mm": '  # how an event begins
 _LONGEST_EVENT = 20_000  # characters
 _LONGEST = 400  # characters of a line that is shown
+PATIENCE_S = 3.0  # between one way of ending a program and the next, harder one
+_LISTEN_S = 1.0  # after a program's end, for output that is still under way
+_KEPT = 40  # warnings, lines for people
+_MOST_LINES = 2000  # taken in one poll, so that a program that floods its output does not block
+_WINDOWS = sys.platform == "win32"
+# So that a program can be ended together with what it has started.
+_OWN_GROUP: dict[str, Any] = {"start_new_session": True}
 
 
 @dataclass(frozen=True)
@@ -107,13 +114,6 @@ def _seconds(value: Any) -> float | None:
     return float(value) if isinstance(value, int | float) and 0 <= value < math.inf else None
 
 
-PATIENCE_S = 3.0  # between one way of ending a program and the next, harder one
-_LISTEN_S = 1.0  # after a program's end, for output that is still under way
-_KEPT = 40  # warnings, lines for people
-_MOST_LINES = 2000  # taken in one poll, so that a program that floods its output does not block
-_WINDOWS = sys.platform == "win32"
-# So that a program can be ended together with what it has started.
-_OWN_GROUP: dict[str, Any] = {"start_new_session": True}
 if _WINDOWS:
     _OWN_GROUP = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
 

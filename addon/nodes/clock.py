@@ -10,6 +10,10 @@ from .. import compat, names
 
 FEWEST_FRAMES = 4.0  # of a period: with fewer, a vibration does not look like one
 GOOD_FRAMES = 12  # of a period: with as many, it looks smooth
+PEAK_ABOVE = 0.05  # of the largest amplitude
+DIP = 0.8  # of a peak: how low it must be between it and a larger one, or it is that one's skirt
+NEIGHBOURS = 1.5  # frequency bins; what is farther apart has a bin without motion between
+MOST_PEAKS = 6
 
 
 def rate(scene: Any) -> float:
@@ -65,12 +69,6 @@ def pace(speed: float) -> str:
     if size == 1:
         return "backwards"
     return way + (f"{1 / size:.4g} × slower" if size < 1 else f"{size:.4g} × faster")
-
-
-PEAK_ABOVE = 0.05  # of the largest amplitude
-DIP = 0.8  # of a peak: how low it must be between it and a larger one, or it is that one's skirt
-NEIGHBOURS = 1.5  # frequency bins; what is farther apart has a bin without motion between
-MOST_PEAKS = 6
 
 
 def rms_amplitude(amplitudes: np.ndarray, weights: np.ndarray) -> float:

@@ -22,6 +22,7 @@ _SUMS = (
     ("Most", "Float"),
     ("Phase", "Float"),
 )
+SLACK = 1e-3  # timesteps; a time that float32 puts just before a whole one is that one
 
 
 class MotionSockets(NamedTuple):
@@ -158,9 +159,6 @@ def _add_wave(graph: Graph, total: Any, re: Any, im: Any, wave: Sequence[Any]) -
     for part, factor in zip((re, im), wave, strict=True):
         total = graph.vector("MULTIPLY_ADD", graph.attribute(part, "FLOAT_VECTOR"), factor, total)
     return total
-
-
-SLACK = 1e-3  # timesteps; a time that float32 puts just before a whole one is that one
 
 
 def build_sequence(name: str, collection: Any, count: int) -> Any:

@@ -16,20 +16,6 @@ from .shapes import DRAW_MODES, USUAL, Materials, available, build_shapes, is_dr
 
 MANY_ARROWS = 2000  # beyond these an arrow stands for several Gaussians
 
-
-@dataclass(frozen=True)
-class Content:
-    """The content of a tree: modes of motion, a collection with one object per frame, or neither."""
-
-    count: int  # Gaussians
-    sh_degree: int = 0
-    freqs_hz: Sequence[float] = ()
-    fps: float = 0.0  # Hz, of the modes
-    amplitude: float = 0.0  # scene units: the largest that the colours need to show
-    frames: Any = None  # the collection
-    n_frames: int = 0
-
-
 # name, default, least, most, description
 _MOTION = (
     # The limits are the slider's: any number can be typed.
@@ -51,6 +37,19 @@ _LOOK = (
     (names.MIN_OPACITY, 0.1, 0.0, 1.0, "Gaussians less opaque than this are drawn as splats only"),
     (names.MIN_SPLAT_OPACITY, 1 / 255, 0.0, 1.0, "Gaussians less opaque than this are not drawn as splats"),
 )
+
+
+@dataclass(frozen=True)
+class Content:
+    """The content of a tree: modes of motion, a collection with one object per frame, or neither."""
+
+    count: int  # Gaussians
+    sh_degree: int = 0
+    freqs_hz: Sequence[float] = ()
+    fps: float = 0.0  # Hz, of the modes
+    amplitude: float = 0.0  # scene units: the largest that the colours need to show
+    frames: Any = None  # the collection
+    n_frames: int = 0
 
 
 def build_player(name: str, content: Content, materials: Materials, made: Made) -> Any:

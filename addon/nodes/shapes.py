@@ -13,6 +13,7 @@ SUBDIVISIONS = 2  # of the icosphere: 80 triangles
 FEWEST_SUBDIVISIONS = 1  # 20 triangles
 SPLAT_RADIUS = 3.0  # standard deviations; the material's fall-off is made for it
 NO_ARROW = 1e-9  # scene units; a shorter displacement has no direction
+USUAL, AS_TRAINED = "Ellipsoids", "Splats"  # of a new modifier, which is one mesh's too; by Exact Look
 
 
 class Materials(NamedTuple):
@@ -238,4 +239,3 @@ DRAW_MODES = {
     ),
     "Native": DrawMode("Blender's own Gaussian splats", _native, soft=True, native=True),
 }
-USUAL, AS_TRAINED = "Ellipsoids", "Splats"  # of a new modifier, which is one mesh's too; by Exact Look

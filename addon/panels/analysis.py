@@ -25,6 +25,9 @@ from . import plots
 Key = tuple[Any, ...]
 _known: dict[Key, tuple[plots.Rows, plots.Rows]] = {}
 
+# Colours that the screen shows as the maps have them.
+_AS_THEY_ARE = (("sRGB", "Standard", "None", 0.0, 1.0, False), ("sRGB", "Raw", "None", 0.0, 1.0, True))
+
 
 def amplitude(scene: Any, encoded: bool = False) -> plots.Rows:
     """Return the amplitude colour map of this scene; until it is computed, the map under Standard.
@@ -104,10 +107,6 @@ def _key(scene: Any, encoded: bool) -> Key:
         round(view.gamma, 4),
         encoded,
     )
-
-
-# Colours that the screen shows as the maps have them.
-_AS_THEY_ARE = (("sRGB", "Standard", "None", 0.0, 1.0, False), ("sRGB", "Raw", "None", 0.0, 1.0, True))
 
 
 def active_modes(obj: Any) -> list[int]:

@@ -21,6 +21,19 @@ from . import framing
 
 ROOM = 1.2  # of what is framed: how large a new box is
 Choice = Callable[[Any], np.ndarray]  # of a mesh: [N] bool, which of its Gaussians go
+_WHAT = {"BOX": "inside the selected objects' boxes, else the crop box", "SELECTION": "selected in Edit Mode"}
+
+_BY = [
+    ("BOX", "Box", "The boxes of the selected objects, else the crop box"),
+    ("SELECTION", "Selection", "The points selected in Edit Mode"),
+]
+_KEEP = BoolProperty(name="Keep", description="Keep what is inside or selected; else delete it", default=True)
+
+_LIMITS = [
+    ("OPACITY", "Opacity", "Less opaque than the limit"),
+    ("SIZE", "Size", "Larger than this multiple of the median Gaussian, by the longest axis"),
+    ("DISTANCE", "Distance", "Farther from the centre than this multiple of the framed radius"),
+]
 
 
 def boxes_of(obj: Any, selected: Sequence[Any]) -> list[Any]:
@@ -190,18 +203,8 @@ def _remove(context: Any, choose: Callable[[Any], Choice]) -> str:
     return f"{gone:,} Gaussians removed, {left:,} remain"
 
 
-_WHAT = {"BOX": "inside the selected objects' boxes, else the crop box", "SELECTION": "selected in Edit Mode"}
-
-
 def _about_crop(context: Any, properties: Any) -> str:
     return f"{'Keep only' if properties.keep else 'Delete'} what is {_WHAT[properties.by]}. {crop.__doc__}"
-
-
-_BY = [
-    ("BOX", "Box", "The boxes of the selected objects, else the crop box"),
-    ("SELECTION", "Selection", "The points selected in Edit Mode"),
-]
-_KEEP = BoolProperty(name="Keep", description="Keep what is inside or selected; else delete it", default=True)
 
 
 @_ui.operator("Crop", on_splats, about=_about_crop, by=EnumProperty(name="By", items=_BY), keep=_KEEP)
@@ -215,13 +218,6 @@ def crop(operator: Any, context: Any) -> str:
         return outside(obj, boxes, inside=not operator.keep)
 
     return _remove(context, choose)
-
-
-_LIMITS = [
-    ("OPACITY", "Opacity", "Less opaque than the limit"),
-    ("SIZE", "Size", "Larger than this multiple of the median Gaussian, by the longest axis"),
-    ("DISTANCE", "Distance", "Farther from the centre than this multiple of the framed radius"),
-]
 
 
 def _draw_floaters(operator: Any, context: Any) -> None:

@@ -20,6 +20,12 @@ _BEFORE_EXACT = "tg4mm_before_exact"  # custom property of an object: what these
 _ui = Declared()
 register, unregister = _ui.register, _ui.unregister
 _ON = {"on": BoolProperty(name="On", default=True, options={"SKIP_SAVE"})}
+_MIDDLE = FloatProperty(
+    name="Middle", description="Middle of the band, Hz; 0: all frequencies", min=0.0, precision=3
+)
+_WIDTH = FloatProperty(
+    name="Width", description="Width of the band, Hz; 0: as in the preferences", min=0.0, precision=3
+)
 
 
 @_ui.operator("Set Up True Colours", on_splats)
@@ -137,14 +143,6 @@ def _about_band(context: Any, properties: Any) -> str:
         return str(band.__doc__)
     low, high = _band(context, properties)
     return f"Magnify {low:g} to {high:g} Hz, the band around this peak (its width: see the preferences)"
-
-
-_MIDDLE = FloatProperty(
-    name="Middle", description="Middle of the band, Hz; 0: all frequencies", min=0.0, precision=3
-)
-_WIDTH = FloatProperty(
-    name="Width", description="Width of the band, Hz; 0: as in the preferences", min=0.0, precision=3
-)
 
 
 @_ui.operator("Set Band", on_motion, about=_about_band, frequency=_MIDDLE, width=_WIDTH)

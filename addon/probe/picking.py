@@ -21,6 +21,9 @@ from . import probe
 from .probe import Probe, mean_deviation, mean_phasor
 
 SIGMAS, NEAR = 3.0, 0.05
+MOST_ROWS = 4
+SMALLEST = 0.01  # of the largest amplitude: what is below has no row
+PER_TIMESTEP = 8  # samples of the curve
 
 
 class PickError(Tg4mmError):
@@ -179,10 +182,6 @@ def _readable(obj: Any) -> Iterator[Any]:
     finally:
         bpy.data.meshes.remove(copy)
 
-
-MOST_ROWS = 4
-SMALLEST = 0.01  # of the largest amplitude: what is below has no row
-PER_TIMESTEP = 8  # samples of the curve
 
 Phasors = tuple[complex, ...]  # hashable, x y z of each mode
 

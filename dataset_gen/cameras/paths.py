@@ -12,6 +12,24 @@ TURN_RMS = float(np.radians(0.1))  # per axis
 _LOWEST, _HIGHEST = 0.2, 8.0  # Hz: below is drift, which the path has; above, a hand holding weight is still
 _NYQUIST_SHARE = 0.4  # of the frame rate: faster tremor would jump from frame to frame
 _TONES = 40
+_FRONT = np.pi / 2  # azimuth at which the orbit starts too
+_FIXED_ELEVATION = np.radians(18.0)  # of the tripod after the sweep
+_SWEEP_RATE = 2.0  # views per second: a walk around the scene
+_SPEED = np.radians(15.0)  # of the drift, per second
+_SWING = np.radians(40.0)  # how far the drift goes to either side
+_TEST_OFF = np.radians(3.0)  # test views lie this far above or below the path
+_BASE_ELEVATION = float(np.arctan2(0.5, 4.0))
+_TEST_PATH = 10  # views of the published test path; fewer are chosen from it
+_ROWS = ((6, (20.0,)), (16, (12.0, 38.0)), (1000, (10.0, 30.0, 52.0)))  # up to so many cameras: elevations, °
+_LENS = 0.05  # fields of view differ by up to this fraction: lenses of one type do
+_PLACE = np.radians(1.5)  # and nobody mounts a camera to the degree
+_DEPTH = 0.02  # of the distance
+_INSIDE = 0.96  # of the picture's half width: pixel filters, and a hand that shakes, need a little room
+_STEP = 1.01
+_MOST = 300  # steps, 20 times as far
+_DIRECTIONS = 400
+_SWEEP_LOW, _SWEEP_HIGH = np.radians(8.0), np.radians(42.0)
+_HELD_ELEVATION, _HELD_RISE = np.radians(20.0), np.radians(5.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,16 +87,6 @@ def rotation_matrix(vector: np.ndarray) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
 
 
-_FRONT = np.pi / 2  # azimuth at which the orbit starts too
-_FIXED_ELEVATION = np.radians(18.0)  # of the tripod after the sweep
-_SWEEP_RATE = 2.0  # views per second: a walk around the scene
-_SWEEP_LOW, _SWEEP_HIGH = np.radians(8.0), np.radians(42.0)
-_SPEED = np.radians(15.0)  # of the drift, per second
-_SWING = np.radians(40.0)  # how far the drift goes to either side
-_HELD_ELEVATION, _HELD_RISE = np.radians(20.0), np.radians(5.0)
-_TEST_OFF = np.radians(3.0)  # test views lie this far above or below the path
-
-
 def fixed_camera(aim: Aim) -> SceneCamera:
     """The camera on its tripod, number 0 at every timestep."""
     return aim.look_from(0, aim.place(_FRONT, float(_FIXED_ELEVATION)))
@@ -126,10 +134,6 @@ def beside_path(n: int, duration_s: float, aim: Aim, seed: int) -> list[SceneCam
     return cameras
 
 
-_BASE_ELEVATION = float(np.arctan2(0.5, 4.0))
-_TEST_PATH = 10  # views of the published test path; fewer are chosen from it
-
-
 def spiral(n_views: int, tilt: float, start: float, aim: Aim = ORIGINAL) -> list[SceneCamera]:
     """Two turns of azimuth from 90° + `start`, elevation 7.1° + (0 … `tilt`); angles in radians.
 
@@ -162,12 +166,6 @@ def test_cameras(n_views: int, aim: Aim = ORIGINAL) -> list[SceneCamera]:  # noq
         return spiral(n_views, 0.6, start, aim)
     path = spiral(_TEST_PATH, 0.6, start, aim)
     return [path[i * _TEST_PATH // n_views] for i in range(n_views)]
-
-
-_ROWS = ((6, (20.0,)), (16, (12.0, 38.0)), (1000, (10.0, 30.0, 52.0)))  # up to so many cameras: elevations, °
-_LENS = 0.05  # fields of view differ by up to this fraction: lenses of one type do
-_PLACE = np.radians(1.5)  # and nobody mounts a camera to the degree
-_DEPTH = 0.02  # of the distance
 
 
 def rig_cameras(n: int, aim: Aim, seed: int) -> list[SceneCamera]:
@@ -204,12 +202,6 @@ def _places(n: int) -> list[tuple[float, float]]:
         start = np.pi / 2 + row * np.pi / max(count, 1)  # rows are staggered
         places += [(start + 2 * np.pi * i / count, float(elevation)) for i in range(count)]
     return places
-
-
-_INSIDE = 0.96  # of the picture's half width: pixel filters, and a hand that shakes, need a little room
-_STEP = 1.01
-_MOST = 300  # steps, 20 times as far
-_DIRECTIONS = 400
 
 
 def farther(points: np.ndarray, cameras: Callable[[float], Sequence[SceneCamera]]) -> float:

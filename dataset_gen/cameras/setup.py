@@ -15,6 +15,8 @@ from .camera import CAMERA_ANGLE_X, DISTANCE, Aim, SceneCamera
 _FARTHEST = 1e5  # scene units
 _FASTEST = 1e6  # Hz
 _MARGIN = 1.08  # of the distance at which a sphere around the scene just fits the picture
+_DIGITS = 6  # of a second
+_SHORTEST_PAUSE, _LONGEST_PAUSE = 2.0, 10.0  # seconds between clips: the camera is carried to its next place
 
 
 @dataclass(frozen=True)
@@ -226,10 +228,6 @@ def _test(setup: CameraSetup) -> tuple[SceneCamera, ...]:
         duration = (setup.n_timesteps - 1) / setup.fps
         return tuple(paths.beside_path(setup.test_views, duration, setup.test_stand, setup.seed))
     return tuple(paths.test_cameras(setup.test_views, setup.test_stand))
-
-
-_SHORTEST_PAUSE, _LONGEST_PAUSE = 2.0, 10.0  # seconds between clips: the camera is carried to its next place
-_DIGITS = 6  # of a second
 
 
 def scene_time(setup: CameraSetup, camera: SceneCamera, timestep: int) -> float | None:

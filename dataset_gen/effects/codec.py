@@ -27,6 +27,8 @@ from ..settings import Settings
 _REC709 = 1  # of colour primaries, transfer and matrix (H.273)
 _LIMITED = 1  # range: 16 … 235
 _RED, _BLUE = 0.2126, 0.0722  # of luma
+VIDEOS = "video"
+_SWEEP = "sweep"  # where `tg4mm sfm` looks for photographs beside the videos
 
 
 def check_package() -> None:
@@ -105,10 +107,6 @@ def _doubled(plane: np.ndarray) -> np.ndarray:
         between = np.stack([0.25 * padded[:-2] + 0.75 * wide, 0.75 * wide + 0.25 * padded[2:]], 1)
         wide = between.reshape(-1, wide.shape[1]).T
     return wide
-
-
-VIDEOS = "video"
-_SWEEP = "sweep"  # where `tg4mm sfm` looks for photographs beside the videos
 
 
 def begin(root: Path, settings: Settings) -> None:

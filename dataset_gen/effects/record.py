@@ -21,6 +21,17 @@ from .options import Effects
 
 BANDS = 16
 MOMENTS = 5
+FINENESS = 2  # fine pixels per pixel along an edge
+FILTER_PX = 3.0  # full width of the filter of plain pictures (render.py: setting 1.5)
+_WINDOW = math.sqrt(FILTER_PX**2 - (FILTER_PX / FINENESS) ** 2)  # pixels
+_TAPS = math.ceil(0.5 * _WINDOW * FINENESS)  # fine pixels to either side
+_BLACKMAN_HARRIS = (0.35875, 0.48829, 0.14128, 0.01168)
+_KERNEL = 3  # pixels that the interpolation reaches beyond the picture
+_TONES = 3
+_LIMIT_HZ = 1.0  # a camera's own control is no faster
+BAND_HZ = (1.0, 10.0)  # of hands and floors
+_GRID = 16  # places per side of the picture at which shifts are measured
+_SLOWEST, _FASTEST = 0.3, 1.5  # cycles over the record
 
 
 def bands(size: int, readout_s: float) -> list[tuple[slice, float]]:
@@ -38,13 +49,6 @@ def moments(shutter_s: float) -> list[tuple[float, float]]:
     """Return (share of the light, seconds after the middle) of the moments of an exposure; the shares sum to 1."""
     nodes, weights = np.polynomial.legendre.leggauss(MOMENTS)
     return [(0.5 * w, 0.5 * shutter_s * x) for w, x in zip(weights.tolist(), nodes.tolist(), strict=True)]
-
-
-FINENESS = 2  # fine pixels per pixel along an edge
-FILTER_PX = 3.0  # full width of the filter of plain pictures (render.py: setting 1.5)
-_WINDOW = math.sqrt(FILTER_PX**2 - (FILTER_PX / FINENESS) ** 2)  # pixels
-_TAPS = math.ceil(0.5 * _WINDOW * FINENESS)  # fine pixels to either side
-_BLACKMAN_HARRIS = (0.35875, 0.48829, 0.14128, 0.01168)
 
 
 def fine_size(size: int, margin: int) -> int:
@@ -101,9 +105,6 @@ def _window(offset: np.ndarray) -> np.ndarray:
     a, b, c, d = _BLACKMAN_HARRIS
     value = a - b * np.cos(phase) + c * np.cos(2 * phase) - d * np.cos(3 * phase)
     return np.where(np.abs(offset) < 0.5 * FINENESS * _WINDOW, value, 0.0)
-
-
-_KERNEL = 3  # pixels that the interpolation reaches beyond the picture
 
 
 @dataclass(frozen=True)
@@ -178,11 +179,6 @@ class RecordingEffects:
         return gains
 
 
-_TONES = 3
-_SLOWEST, _FASTEST = 0.3, 1.5  # cycles over the record
-_LIMIT_HZ = 1.0  # a camera's own control is no faster
-
-
 def drift_gains(percent: float, n_timesteps: int, fps: float, rng: np.random.Generator) -> np.ndarray:
     """Gains [T, 3] of red, green and blue: exposure by `percent` peak to peak, red and blue by a third more each.
 
@@ -212,10 +208,6 @@ def flicker_gains(percent: float, hz: float, times_s: np.ndarray, phase: float) 
     """
     turns = (hz * np.asarray(times_s, np.float64)) % 1.0
     return 1.0 - 0.005 * percent * (1.0 - np.cos(2 * np.pi * turns + phase))
-
-
-BAND_HZ = (1.0, 10.0)  # of hands and floors
-_GRID = 16  # places per side of the picture at which shifts are measured
 
 
 def turns(

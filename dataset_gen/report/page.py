@@ -25,6 +25,11 @@ from ..vibration import reach
 MOVING = 0.01  # of the set's largest displacement: a vertex displaced by more counts as moving
 _MOST_VERTICES = 20_000  # projected
 _MOST_TIMES = 30  # timesteps projected
+_EDGE = 168  # of a picture of the contact sheet, pixels
+_ACROSS = 6  # training cameras in a row
+_SMALL_PX = 0.01  # motion below this is far under the noise of a single picture
+_GAP, _LABEL = 6, 20  # between them and under them, pixels
+_MOST_TEST, _MOST_TRAIN, _MOST_PARTS = 3, 18, 6
 
 
 @dataclass(frozen=True)
@@ -199,13 +204,6 @@ def _step(rest: np.ndarray, displaced: np.ndarray, capture: Capture, row: int) -
 
 def _evenly(count: int, most: int) -> list[int]:
     return sorted({i * count // min(count, most) for i in range(min(count, most))})
-
-
-_EDGE = 168  # of a picture of the contact sheet, pixels
-_GAP, _LABEL = 6, 20  # between them and under them, pixels
-_ACROSS = 6  # training cameras in a row
-_MOST_TEST, _MOST_TRAIN, _MOST_PARTS = 3, 18, 6
-_SMALL_PX = 0.01  # motion below this is far under the noise of a single picture
 
 
 def write(root: Path) -> Path:

@@ -8,6 +8,7 @@ from .. import textures as t
 from ..scene import Surface
 
 Rgb = tuple[float, float, float]
+_IVORY = (0.88, 0.84, 0.74)
 
 
 def glitter(size: int, colour: Rgb, rng: np.random.Generator, flakes: int = 12000) -> np.ndarray:
@@ -120,8 +121,6 @@ def woven(size: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     image = t.speckle(image, rng, 0.28, (90, 90)) * (0.8 + 0.25 * weave[..., None])
     return np.clip(image, 0.0, 1.0), weave
 
-
-_IVORY = (0.88, 0.84, 0.74)
 
 _rng = t.seeded(2025, 200)
 

@@ -6,6 +6,21 @@ from .. import textures as t
 from ..scene import Rgb, Surface
 from ..textures import noise
 
+# Strips of the foliage picture from v = 0: upper and lower face of each kind of leaf, then bark.
+KINDS = 4
+STRIPS = 2 * KINDS + 1
+BARK = 2 * KINDS
+_STRIP = 112  # pixels across a leaf
+_WIDTH = 320  # pixels along it
+
+# Upper face, lower face and veins of mature, ordinary, young and yellowing leaves.
+_GREENS = (
+    ((0.11, 0.235, 0.075), (0.29, 0.39, 0.19), (0.40, 0.49, 0.24)),
+    ((0.155, 0.31, 0.085), (0.33, 0.44, 0.22), (0.48, 0.57, 0.28)),
+    ((0.26, 0.44, 0.11), (0.40, 0.50, 0.26), (0.55, 0.63, 0.34)),
+    ((0.33, 0.40, 0.11), (0.46, 0.48, 0.26), (0.64, 0.62, 0.34)),
+)
+
 
 def blade(
     height: int, width: int, colour: Rgb, veins: Rgb, rng: np.random.Generator
@@ -84,21 +99,6 @@ def terracotta(height: int, width: int, rng: np.random.Generator) -> np.ndarray:
     image = np.array([0.62, 0.33, 0.21]) * (1.0 + 0.07 * rings + 0.12 * np.tanh(grain))[..., None]
     return np.clip(image * (1.0 - 0.3 * bloom) + 0.3 * bloom * np.array([0.82, 0.74, 0.66]), 0.0, 1.0)
 
-
-# Strips of the foliage picture from v = 0: upper and lower face of each kind of leaf, then bark.
-KINDS = 4
-STRIPS = 2 * KINDS + 1
-BARK = 2 * KINDS
-_STRIP = 112  # pixels across a leaf
-_WIDTH = 320  # pixels along it
-
-# Upper face, lower face and veins of mature, ordinary, young and yellowing leaves.
-_GREENS = (
-    ((0.11, 0.235, 0.075), (0.29, 0.39, 0.19), (0.40, 0.49, 0.24)),
-    ((0.155, 0.31, 0.085), (0.33, 0.44, 0.22), (0.48, 0.57, 0.28)),
-    ((0.26, 0.44, 0.11), (0.40, 0.50, 0.26), (0.55, 0.63, 0.34)),
-    ((0.33, 0.40, 0.11), (0.46, 0.48, 0.26), (0.64, 0.62, 0.34)),
-)
 
 _rng = t.seeded(2032)
 

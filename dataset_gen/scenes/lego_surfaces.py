@@ -10,6 +10,24 @@ from ..shapes.bricks import ATLAS
 
 Rgb = tuple[float, float, float]
 _DUST = (0.66, 0.6, 0.52)
+_YELLOW = (0.95, 0.72, 0.07)
+_GREY = (0.55, 0.56, 0.57)
+_DARK = (0.24, 0.25, 0.27)
+_BLACK = (0.13, 0.13, 0.14)
+_RED = (0.78, 0.1, 0.08)
+_SAND = (0.66, 0.61, 0.52)
+
+# Which parts are of which colour; each colour has one texture, of which every brick shows its own place.
+_COLOURS = {
+    _SAND: ("base",),
+    _YELLOW: ("chassis", "body", "fender", "cab", "blade", "arms"),
+    _GREY: ("grey", "wheels"),
+    _DARK: ("frame", "engine", "teeth", "claws", "ripper"),
+    _BLACK: ("tracks", "axles", "pins", "blade_pins", "cab_pins", "cab_trim", "controls", "pistons"),
+    _RED: ("seat", "red", "lights"),
+}
+_PLASTIC = {name: colour for colour, names in _COLOURS.items() for name in names}
+_STUDS = ("base", "chassis", "body", "fender", "cab", "blade", "grey", "frame", "cab_trim", "lights")
 
 
 def _scratches(size: int, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -87,25 +105,6 @@ def hazard(height: int, width: int, rng: np.random.Generator, stripes: int = 6) 
     rubbed = np.clip(t.noise(height, width, cells, rng) - 1.1, 0.0, 1.0)
     return np.clip(t.paint(t.speckle(image, rng, 0.15, cells), 0.8 * rubbed, (0.7, 0.64, 0.5)), 0.0, 1.0)
 
-
-_YELLOW = (0.95, 0.72, 0.07)
-_GREY = (0.55, 0.56, 0.57)
-_DARK = (0.24, 0.25, 0.27)
-_BLACK = (0.13, 0.13, 0.14)
-_RED = (0.78, 0.1, 0.08)
-_SAND = (0.66, 0.61, 0.52)
-
-# Which parts are of which colour; each colour has one texture, of which every brick shows its own place.
-_COLOURS = {
-    _SAND: ("base",),
-    _YELLOW: ("chassis", "body", "fender", "cab", "blade", "arms"),
-    _GREY: ("grey", "wheels"),
-    _DARK: ("frame", "engine", "teeth", "claws", "ripper"),
-    _BLACK: ("tracks", "axles", "pins", "blade_pins", "cab_pins", "cab_trim", "controls", "pistons"),
-    _RED: ("seat", "red", "lights"),
-}
-_PLASTIC = {name: colour for colour, names in _COLOURS.items() for name in names}
-_STUDS = ("base", "chassis", "body", "fender", "cab", "blade", "grey", "frame", "cab_trim", "lights")
 
 _rng = t.seeded(2025, 100)
 

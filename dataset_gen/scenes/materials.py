@@ -17,6 +17,20 @@ from ..scene import AreaLight, Gradient, Part, Scene, Surface, part
 from ..shapes.sheet import Outline, bead_section, frames_on, moulding, puff, puff_points, rounded
 
 _SIZE = (256, 544)
+RADIUS = 0.22  # of a ball
+SPACING = 0.55
+BOARD = -0.25  # the board's upper face
+
+TRAY = Outline(1.13, 0.86, 7.0)
+# Rows from the back to the front; neighbours differ in shine and in colour.
+LAYOUT = (
+    ("gold", "marble", "leather", "paint"),
+    ("velvet", "steel", "leopard", "glass"),
+    ("wood", "checker", "copper", "clay"),
+)
+RING, WIRE = 0.115, 0.022  # radius of a ring and of its bead
+_RING_Z = BOARD + WIRE - 0.004  # sunk a little into its groove
+BALL_Z = _RING_Z + float(np.sqrt((RADIUS + WIRE) ** 2 - RING**2))
 
 
 def _directions() -> np.ndarray:
@@ -121,21 +135,6 @@ def bead(name: str, turns: float) -> Surface:
     rope = np.sqrt(np.abs(2.0 * t.diagonal(h, w, turns, 1) - 1.0))
     image = ramp(rope, [(0.0, (0.30, 0.2, 0.08)), (0.6, (0.78, 0.6, 0.3)), (1.0, (0.98, 0.86, 0.55))])
     return Surface(name, image, rope, 0.006, metallic=0.6, roughness=0.38)
-
-
-RADIUS = 0.22  # of a ball
-SPACING = 0.55
-BOARD = -0.25  # the board's upper face
-RING, WIRE = 0.115, 0.022  # radius of a ring and of its bead
-_RING_Z = BOARD + WIRE - 0.004  # sunk a little into its groove
-BALL_Z = _RING_Z + float(np.sqrt((RADIUS + WIRE) ** 2 - RING**2))
-TRAY = Outline(1.13, 0.86, 7.0)
-# Rows from the back to the front; neighbours differ in shine and in colour.
-LAYOUT = (
-    ("gold", "marble", "leather", "paint"),
-    ("velvet", "steel", "leopard", "glass"),
-    ("wood", "checker", "copper", "clay"),
-)
 
 
 def places() -> dict[str, np.ndarray]:

@@ -10,6 +10,51 @@ _IVORY = (0.93, 0.9, 0.82)
 _RED = (0.82, 0.12, 0.1)
 
 _rng = t.seeded(2025)
+FLOOR = -0.86
+PIVOT = np.array([0.0, 0.0, 0.40])  # where the microphone's axis crosses the rod's
+RADIUS = 0.235  # of the microphone's body
+FOOT_RADIUS = 0.74
+LEG_HEADINGS = np.radians([-75.0, 45.0, 165.0])
+_UP = (0.0, 0.0, 1.0)
+
+_COLLAR = [
+    (RADIUS - 0.03, 0.145), (RADIUS + 0.008, 0.145), (RADIUS + 0.014, 0.155), (RADIUS + 0.014, 0.215),
+    (RADIUS + 0.006, 0.225), (RADIUS - 0.02, 0.225),
+]  # fmt: skip
+_RIM = [
+    (RADIUS - 0.028, 0.80), (RADIUS + 0.006, 0.80), (RADIUS + 0.012, 0.808), (RADIUS + 0.012, 0.872),
+    (RADIUS + 0.004, 0.882), (RADIUS - 0.028, 0.882), (RADIUS - 0.034, 0.86), (RADIUS - 0.028, 0.80),
+]  # fmt: skip
+_CORE = [(0.0, 0.215), (0.165, 0.215), (0.165, 0.80), (0.13, 0.86), (0.07, 0.895), (0.0, 0.905)]
+_KNOB = [(0.036, 0.0), (0.036, 0.03), (0.026, 0.036), (0.026, 0.085), (0.02, 0.095), (0.0, 0.097)]
+_ROD = [
+    (0.0, -0.40), (0.033, -0.40), *((0.033, z) for z in np.linspace(-0.38, 0.08, 24)), (0.033, 0.1),
+    (0.0, 0.1),
+]  # fmt: skip
+_BOLT = [(0.0, -0.09), (0.03, -0.09), (0.03, 0.09), (0.045, 0.09), (0.045, 0.1), (0.0, 0.1)]
+_THUMB = [(0.0, -0.135), (0.05, -0.135), (0.058, -0.127), (0.058, -0.098), (0.05, -0.09), (0.0, -0.09)]
+_HUB = [
+    (0.0, -0.56), (0.09, -0.56), (0.125, -0.535), (0.135, -0.50), (0.135, -0.475), (0.12, -0.45),
+    (0.075, -0.41), (0.06, -0.39), (0.06, -0.365), (0.052, -0.36), (0.0, -0.36),
+]  # fmt: skip
+_FOOT = [
+    (0.0, 0.0), (0.062, 0.0), (0.07, 0.008), (0.07, 0.024), (0.058, 0.034), (0.04, 0.052), (0.0, 0.056),
+]  # fmt: skip
+_PLUG = [
+    (0.0, -0.70), (0.032, -0.70), (0.04, -0.69), (0.046, -0.66), (0.046, -0.64), (0.058, -0.635),
+    (0.058, -0.57), (0.05, -0.56), (0.05, -0.545),
+]  # fmt: skip
+# Where the cable runs behind the microphone: (backwards, sideways, height).
+_CABLE = [
+    (1.0, 0.01, -0.06), (1.09, 0.08, -0.3), (1.06, 0.25, -0.62), (0.93, 0.45, -0.80),
+    (0.68, 0.68, FLOOR + 0.034), (0.18, 0.9, FLOOR + 0.03), (-0.35, 0.93, FLOOR + 0.03),
+    (-0.75, 0.72, FLOOR + 0.03), (-0.98, 0.35, FLOOR + 0.03), (-0.98, -0.1, FLOOR + 0.03),
+    (-0.72, -0.5, FLOOR + 0.03),
+]  # fmt: skip
+_HEADING, _TILT = np.radians(-60.0), np.radians(20.0)
+AXIS = np.array([np.cos(_TILT) * np.cos(_HEADING), np.cos(_TILT) * np.sin(_HEADING), np.sin(_TILT)])
+_LEVEL = np.array([np.cos(_HEADING), np.sin(_HEADING), 0.0])  # the axis, levelled
+_ACROSS = np.array([-_LEVEL[1], _LEVEL[0], 0.0])
 
 
 def body() -> Surface:
@@ -107,18 +152,6 @@ def cable() -> Surface:
     return Surface("cable", t.paint(image, 0.8 * strands, (0.78, 0.72, 0.6)), roughness=0.65)
 
 
-FLOOR = -0.86
-PIVOT = np.array([0.0, 0.0, 0.40])  # where the microphone's axis crosses the rod's
-RADIUS = 0.235  # of the microphone's body
-FOOT_RADIUS = 0.74
-LEG_HEADINGS = np.radians([-75.0, 45.0, 165.0])
-_HEADING, _TILT = np.radians(-60.0), np.radians(20.0)
-AXIS = np.array([np.cos(_TILT) * np.cos(_HEADING), np.cos(_TILT) * np.sin(_HEADING), np.sin(_TILT)])
-_LEVEL = np.array([np.cos(_HEADING), np.sin(_HEADING), 0.0])  # the axis, levelled
-_ACROSS = np.array([-_LEVEL[1], _LEVEL[0], 0.0])
-_UP = (0.0, 0.0, 1.0)
-
-
 def _groove(z: float, depth: float = 0.012, width: float = 0.022) -> list[tuple[float, float]]:
     """Four points of the body's outline: a turned groove."""
     inner = RADIUS - depth
@@ -130,40 +163,6 @@ _BODY = [
     (0.0, -0.56), (0.1, -0.56), (0.1, -0.545), (RADIUS - 0.03, -0.545), (RADIUS - 0.008, -0.53),
     (RADIUS, -0.505), *_groove(-0.46), *_groove(-0.415), (RADIUS, -0.2), (RADIUS, 0.0), *_groove(0.1),
     (RADIUS, 0.135), (RADIUS - 0.012, 0.15),
-]  # fmt: skip
-_COLLAR = [
-    (RADIUS - 0.03, 0.145), (RADIUS + 0.008, 0.145), (RADIUS + 0.014, 0.155), (RADIUS + 0.014, 0.215),
-    (RADIUS + 0.006, 0.225), (RADIUS - 0.02, 0.225),
-]  # fmt: skip
-_RIM = [
-    (RADIUS - 0.028, 0.80), (RADIUS + 0.006, 0.80), (RADIUS + 0.012, 0.808), (RADIUS + 0.012, 0.872),
-    (RADIUS + 0.004, 0.882), (RADIUS - 0.028, 0.882), (RADIUS - 0.034, 0.86), (RADIUS - 0.028, 0.80),
-]  # fmt: skip
-_CORE = [(0.0, 0.215), (0.165, 0.215), (0.165, 0.80), (0.13, 0.86), (0.07, 0.895), (0.0, 0.905)]
-_KNOB = [(0.036, 0.0), (0.036, 0.03), (0.026, 0.036), (0.026, 0.085), (0.02, 0.095), (0.0, 0.097)]
-_ROD = [
-    (0.0, -0.40), (0.033, -0.40), *((0.033, z) for z in np.linspace(-0.38, 0.08, 24)), (0.033, 0.1),
-    (0.0, 0.1),
-]  # fmt: skip
-_BOLT = [(0.0, -0.09), (0.03, -0.09), (0.03, 0.09), (0.045, 0.09), (0.045, 0.1), (0.0, 0.1)]
-_THUMB = [(0.0, -0.135), (0.05, -0.135), (0.058, -0.127), (0.058, -0.098), (0.05, -0.09), (0.0, -0.09)]
-_HUB = [
-    (0.0, -0.56), (0.09, -0.56), (0.125, -0.535), (0.135, -0.50), (0.135, -0.475), (0.12, -0.45),
-    (0.075, -0.41), (0.06, -0.39), (0.06, -0.365), (0.052, -0.36), (0.0, -0.36),
-]  # fmt: skip
-_FOOT = [
-    (0.0, 0.0), (0.062, 0.0), (0.07, 0.008), (0.07, 0.024), (0.058, 0.034), (0.04, 0.052), (0.0, 0.056),
-]  # fmt: skip
-_PLUG = [
-    (0.0, -0.70), (0.032, -0.70), (0.04, -0.69), (0.046, -0.66), (0.046, -0.64), (0.058, -0.635),
-    (0.058, -0.57), (0.05, -0.56), (0.05, -0.545),
-]  # fmt: skip
-# Where the cable runs behind the microphone: (backwards, sideways, height).
-_CABLE = [
-    (1.0, 0.01, -0.06), (1.09, 0.08, -0.3), (1.06, 0.25, -0.62), (0.93, 0.45, -0.80),
-    (0.68, 0.68, FLOOR + 0.034), (0.18, 0.9, FLOOR + 0.03), (-0.35, 0.93, FLOOR + 0.03),
-    (-0.75, 0.72, FLOOR + 0.03), (-0.98, 0.35, FLOOR + 0.03), (-0.98, -0.1, FLOOR + 0.03),
-    (-0.72, -0.5, FLOOR + 0.03),
 ]  # fmt: skip
 
 

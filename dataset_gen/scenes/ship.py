@@ -13,6 +13,10 @@ from . import ship_rigging as rigging
 from . import ship_surfaces as paint
 from .ship_fittings import HULL, WATER, WATER_RADIUS
 
+_SCALE = 1.17  # of the plan, in which the ship is 2 units long and her middle lies forward of the origin
+_SHIFT = np.array([-0.115, 0.0, 0.0])  # before scaling
+_LEVEL = _SCALE * WATER
+
 
 def swell(
     x: np.ndarray, y: np.ndarray, rng: np.random.Generator, waves: int = 14, height: float = 0.006
@@ -79,11 +83,6 @@ def distance_to(outline: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray
     half = np.interp(x, outline[:, 0], -outline[:, 1], left=0.0, right=0.0)
     beyond = np.maximum(np.maximum(outline[0, 0] - x, x - outline[-1, 0]), 0.0)
     return np.hypot(beyond, np.maximum(np.abs(y) - half, 0.0))
-
-
-_SCALE = 1.17  # of the plan, in which the ship is 2 units long and her middle lies forward of the origin
-_SHIFT = np.array([-0.115, 0.0, 0.0])  # before scaling
-_LEVEL = _SCALE * WATER
 
 
 def build() -> Scene:

@@ -32,6 +32,26 @@ BULWARKS: dict[str, tuple[tuple[float, float], float, float]] = {
 }
 # How far the inside of each bulwark reaches below its foot: to its deck.
 LINING = {"waist": 0.06, "quarterdeck": 0.0, "poop": 0.0, "forecastle": 0.0}
+BOWSPRIT = (np.array([0.48, 0.0, -0.035]), np.array([1.10, 0.0, 0.225]))
+_CAPSTAN = [
+    (0.0, 0.0), (0.042, 0.0), (0.042, 0.008), (0.024, 0.016), (0.02, 0.04), (0.026, 0.055), (0.036, 0.058),
+    (0.036, 0.074), (0.028, 0.08), (0.0, 0.082),
+]  # fmt: skip
+
+# Gratings: deck, x of the middle, length, width.
+_GRATINGS = (
+    ("waist", 0.10, 0.10, 0.11),
+    ("waist", -0.15, 0.08, 0.1),
+    ("quarterdeck", -0.37, 0.07, 0.08),
+    ("forecastle", 0.47, 0.05, 0.07),
+)
+# Ladders, one on either side: lower deck and x, upper deck and x, distance from the middle, width.
+_LADDERS = (
+    ("waist", -0.175, "quarterdeck", -0.233, 0.11, 0.04),
+    ("waist", 0.275, "forecastle", 0.318, 0.1, 0.04),
+    ("quarterdeck", -0.56, "poop", -0.618, 0.1, 0.036),
+)
+_CASKS = ((0.02, 0.13), (0.055, 0.135), (0.04, -0.135), (-0.11, 0.13), (-0.19, -0.05), (-0.19, -0.015))
 
 
 @dataclass(frozen=True)
@@ -67,7 +87,6 @@ MIZZEN = MastPlan(
     ((0.225, 0.2, 0.0), (0.445, 0.16, 0.019)), 9.0,
 )  # fmt: skip
 MASTS = (FORE, MAIN, MIZZEN)
-BOWSPRIT = (np.array([0.48, 0.0, -0.035]), np.array([1.10, 0.0, 0.225]))
 
 
 def deck_z(name: str, u: float) -> float:
@@ -83,30 +102,8 @@ def deck_at(name: str, x: float, y: float = 0.0) -> np.ndarray:
     return np.array([x, y, z + 0.01 * (1.0 - min(abs(y) / half, 1.0) ** 2) * min(half / 0.1, 1.0)])
 
 
-_CAPSTAN = [
-    (0.0, 0.0), (0.042, 0.0), (0.042, 0.008), (0.024, 0.016), (0.02, 0.04), (0.026, 0.055), (0.036, 0.058),
-    (0.036, 0.074), (0.028, 0.08), (0.0, 0.082),
-]  # fmt: skip
-
-
 def parts() -> tuple[Part, ...]:
     return (*_deck_work(), *_boat(), *_anchors())
-
-
-# Gratings: deck, x of the middle, length, width.
-_GRATINGS = (
-    ("waist", 0.10, 0.10, 0.11),
-    ("waist", -0.15, 0.08, 0.1),
-    ("quarterdeck", -0.37, 0.07, 0.08),
-    ("forecastle", 0.47, 0.05, 0.07),
-)
-# Ladders, one on either side: lower deck and x, upper deck and x, distance from the middle, width.
-_LADDERS = (
-    ("waist", -0.175, "quarterdeck", -0.233, 0.11, 0.04),
-    ("waist", 0.275, "forecastle", 0.318, 0.1, 0.04),
-    ("quarterdeck", -0.56, "poop", -0.618, 0.1, 0.036),
-)
-_CASKS = ((0.02, 0.13), (0.055, 0.135), (0.04, -0.135), (-0.11, 0.13), (-0.19, -0.05), (-0.19, -0.015))
 
 
 def _deck_work() -> tuple[Part, ...]:

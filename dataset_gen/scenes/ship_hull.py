@@ -13,6 +13,15 @@ from .ship_fittings import BULWARKS, HULL, LEVELS, LINING, deck_z
 _WALL = 0.011  # thickness of the bulwarks
 _BROWN, _GREEN = (0.36, 0.19, 0.11), (0.17, 0.2, 0.16)
 
+# Where a deck ends above a lower one: the higher, the lower, which end of the higher, where its wall looks to.
+_BREAKS = (
+    ("quarterdeck", "waist", 1, 1.0),
+    ("poop", "quarterdeck", 1, 1.0),
+    ("forecastle", "waist", 0, -1.0),
+)
+# Openings in such a wall: place across as a share of the half-breadth, width, share of the height, bars.
+_OPENINGS = ((-0.55, 0.05, 0.5, (3, 2)), (0.55, 0.05, 0.5, (3, 2)), (0.0, 0.06, 0.78, (2, 1)))
+
 
 def parts() -> tuple[Part, ...]:
     return (*_hull(), *_bulwarks(), *_decks(), *_stern(), *_head(), *_guns())
@@ -46,16 +55,6 @@ def _bulwarks() -> tuple[Part, ...]:
         part("poop", made["poop"], paint.upper_works("poop", _GREEN, 47)),
         part("rails", m.join(rails), paint.gilt("rails")),
     )
-
-
-# Where a deck ends above a lower one: the higher, the lower, which end of the higher, where its wall looks to.
-_BREAKS = (
-    ("quarterdeck", "waist", 1, 1.0),
-    ("poop", "quarterdeck", 1, 1.0),
-    ("forecastle", "waist", 0, -1.0),
-)
-# Openings in such a wall: place across as a share of the half-breadth, width, share of the height, bars.
-_OPENINGS = ((-0.55, 0.05, 0.5, (3, 2)), (0.55, 0.05, 0.5, (3, 2)), (0.0, 0.06, 0.78, (2, 1)))
 
 
 def _decks() -> tuple[Part, ...]:

@@ -7,6 +7,8 @@ import numpy as np
 from ..meshes import Mesh, spline
 
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
+_THICK = 0.0011  # half the thickness at the midrib, scene units
+_ALONG, _ACROSS = 10, 5  # points of a blade; odd across: the midrib has its own row
 
 
 @dataclass(frozen=True)
@@ -112,10 +114,6 @@ def leaf_places(twig: Axis, spacing: float, rng: np.random.Generator, first: flo
         frames[k, :3, :3] = np.column_stack([out, np.cross(up, out), up])
         frames[k, :3, 3] = point
     return frames
-
-
-_ALONG, _ACROSS = 10, 5  # points of a blade; odd across: the midrib has its own row
-_THICK = 0.0011  # half the thickness at the midrib, scene units
 
 
 @dataclass(frozen=True)

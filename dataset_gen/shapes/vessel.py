@@ -22,6 +22,7 @@ _LANTERN_ROOF = [
     (0.42, 0.70), (0.46, 0.72), (0.36, 0.80), (0.2, 0.88), (0.16, 0.94), (0.1, 0.97), (0.07, 1.02),
     (0.09, 1.06), (0.05, 1.1), (0.0, 1.12),
 ]  # fmt: skip
+_LAY = 0.06  # scene units of rope per repeat of its texture
 
 
 def _turned(outline: list[tuple[float, float]], size: tuple[float, float], segments: int) -> Mesh:
@@ -132,9 +133,6 @@ def cannon(at: np.ndarray, length: float) -> Mesh:
         (0.1, 0.96), (0.095, 1.0), (0.05, 1.0), (0.05, 0.9), (0.0, 0.9),
     ]  # fmt: skip
     return _turned(outline, (length, length), 16).moved(at)
-
-
-_LAY = 0.06  # scene units of rope per repeat of its texture
 
 
 def rope(start: Vector, end: Vector, radius: float, sag: float = 0.0, sides: int = 5, spans: int = 6) -> Mesh:

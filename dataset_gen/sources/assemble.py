@@ -22,6 +22,7 @@ _FLAT = 0.02  # thickness over width
 _BACKDROP = 4.0  # a part this many times as wide as all others together is not what is looked at
 # Lights the new scene, given the old one, whether the file's lights or materials give light, and the warnings.
 Lighting = Callable[[bpy.types.Scene, bpy.types.Scene, bool, list[str]], None]
+_TARGET = "tg4mm weight {}"
 
 
 @dataclass(frozen=True)
@@ -153,9 +154,6 @@ def _is_backdrop(body: Body, rest: Sequence[Body]) -> bool:
     around = bool((low <= rest_low).all() and (high >= rest_high).all())
     simple = len(body.triangles) < sum(len(other.triangles) for other in rest)
     return rest_width > 0 and width > _BACKDROP * rest_width and (flat or (around and simple))
-
-
-_TARGET = "tg4mm weight {}"
 
 
 def group_weights(objects: Sequence[bpy.types.Object]) -> list[dict[str, np.ndarray]]:

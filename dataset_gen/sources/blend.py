@@ -18,6 +18,23 @@ from .gather import gather
 from .images import find_images, list_names
 
 _NEUTRAL_VIEWS = ("Standard", "Raw", "Default")  # "Default": sRGB of files before 2.80
+_UNITS = {  # Blender's names of units → metres
+    "KILOMETERS": ("km", 1e3),
+    "METERS": ("m", 1.0),
+    "CENTIMETERS": ("cm", 1e-2),
+    "MILLIMETERS": ("mm", 1e-3),
+    "MICROMETERS": ("µm", 1e-6),
+    "MILES": ("mi", 1609.344),
+    "FEET": ("ft", 0.3048),
+    "INCHES": ("in", 0.0254),
+    "THOU": ("thou", 2.54e-5),
+}
+
+# Nodes of a compositor that change nothing.
+_PASSING = ("RLayers", "Composite", "Viewer", "OutputFile")
+_PLAIN_NODES = (
+    *(f"CompositorNode{kind}" for kind in _PASSING), "NodeGroupOutput", "NodeFrame", "NodeReroute",
+)  # fmt: skip
 
 
 def open_blend(path: Path, *, frame: int | None = None, scene: str | None = None) -> LoadedScene:
@@ -132,19 +149,6 @@ def _unit_scale(scene: bpy.types.Scene) -> float | None:
     return float(units.scale_length) if units.system in ("METRIC", "IMPERIAL") else None
 
 
-_UNITS = {  # Blender's names of units → metres
-    "KILOMETERS": ("km", 1e3),
-    "METERS": ("m", 1.0),
-    "CENTIMETERS": ("cm", 1e-2),
-    "MILLIMETERS": ("mm", 1e-3),
-    "MICROMETERS": ("µm", 1e-6),
-    "MILES": ("mi", 1609.344),
-    "FEET": ("ft", 0.3048),
-    "INCHES": ("in", 0.0254),
-    "THOU": ("thou", 2.54e-5),
-}
-
-
 def own_unit(scene: bpy.types.Scene) -> tuple[str, float]:
     """The unit in which the file shows lengths, and how many of it a scene unit is."""
     if (scale := _unit_scale(scene)) is None:
@@ -158,13 +162,6 @@ def own_unit(scene: bpy.types.Scene) -> tuple[str, float]:
 
 def _light(scene: bpy.types.Scene, old: bpy.types.Scene, lit: bool, warnings: list[str]) -> None:
     scene.world = own_world(old, lit, warnings)
-
-
-# Nodes of a compositor that change nothing.
-_PASSING = ("RLayers", "Composite", "Viewer", "OutputFile")
-_PLAIN_NODES = (
-    *(f"CompositorNode{kind}" for kind in _PASSING), "NodeGroupOutput", "NodeFrame", "NodeReroute",
-)  # fmt: skip
 
 
 def left_out(scene: bpy.types.Scene) -> list[str]:

@@ -19,6 +19,10 @@ from ..vibration.fields import Body
 
 _VERSION = 2
 _PLAIN = ("unit_scale_m", "own_unit", "camera_names", "warnings", "centre", "radius")
+_TAIL = 64  # bytes; the closing block's header is one of 20, 24 or 32 bytes
+# "BLENDER-v405" up to 4.5, with "_" for 32-bit pointers and "V" for big-endian; "BLENDER17-01v0502" since.
+_HEAD = re.compile(rb"BLENDER(?:[-_][vV](\d{3})|\d\d-\d\d[vV](\d{4}))")
+_GZIP, _ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 
 
 @dataclass(frozen=True)
@@ -76,12 +80,6 @@ def load(path: Path) -> FileContents:
 def _body(data: Any, i: int, entry: dict[str, Any]) -> Body:
     groups = {name: data[f"{i}.group.{j}"] for j, name in enumerate(entry["groups"])}
     return Body(entry["name"], data[f"{i}.vertices"], data[f"{i}.triangles"], data[f"{i}.follow"], groups)
-
-
-_GZIP, _ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
-_TAIL = 64  # bytes; the closing block's header is one of 20, 24 or 32 bytes
-# "BLENDER-v405" up to 4.5, with "_" for 32-bit pointers and "V" for big-endian; "BLENDER17-01v0502" since.
-_HEAD = re.compile(rb"BLENDER(?:[-_][vV](\d{3})|\d\d-\d\d[vV](\d{4}))")
 
 
 def check(path: Path, running: tuple[int, int]) -> None:

@@ -10,6 +10,13 @@ from ..scene import Gradient
 from .images import Anchors, list_names, own_groups, repair_images
 
 _SUFFIX = " tg4mm"  # of our copies of materials while the originals are there
+SKY = Gradient(((0.35, 0.34, 0.33), (0.7, 0.7, 0.7), (1.0, 1.0, 1.0)))  # of scenes without any light
+# Where a node says how much light it gives.
+_STRENGTH = {
+    "ShaderNodeBackground": "Strength",
+    "ShaderNodeEmission": "Strength",
+    "ShaderNodeBsdfPrincipled": "Emission Strength",
+}
 
 
 class MaterialCopies:
@@ -150,15 +157,6 @@ def _glassy(node: bpy.types.Node) -> bool:
     return node.bl_idname in ("ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction") and bool(
         node.outputs[0].links
     )
-
-
-SKY = Gradient(((0.35, 0.34, 0.33), (0.7, 0.7, 0.7), (1.0, 1.0, 1.0)))  # of scenes without any light
-# Where a node says how much light it gives.
-_STRENGTH = {
-    "ShaderNodeBackground": "Strength",
-    "ShaderNodeEmission": "Strength",
-    "ShaderNodeBsdfPrincipled": "Emission Strength",
-}
 
 
 def own_world(scene: bpy.types.Scene, lit: bool, warnings: list[str]) -> bpy.types.World:

@@ -16,6 +16,7 @@ from ..build import new_mesh
 
 _SIDES = 4
 _RADIUS = 0.005  # scene units; of curves that say nothing, as in Cycles
+_LEFT_OUT = ("VOLUME", "GREASEPENCIL", "GPENCIL", "POINTCLOUD")  # kinds that have a look but no mesh
 
 
 def tubes(points: np.ndarray, radius: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -108,9 +109,6 @@ def _local(
     thickness = 0.5 * how.radius_scale * np.linspace(how.root_radius, how.tip_radius, steps)
     strands = len(points) // steps
     return local, np.tile(thickness, strands), np.arange(strands + 1) * steps
-
-
-_LEFT_OUT = ("VOLUME", "GREASEPENCIL", "GPENCIL", "POINTCLOUD")  # kinds that have a look but no mesh
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,16 +16,26 @@ import numpy as np
 from ..build import DISPLACEMENT, LINEAR, new_image
 from .gather import Piece
 
+_DEPTH = 3  # folders below that of the file
+_MOST = 20_000  # files that are looked at
+_ENVIRONMENT = (0.25, 1.0)  # linear grey straight below and above, in place of a lost HDR
+_ALIAS = "tg4mm user displacement"  # a user's attribute that has the name of ours
+
+# Textures that read Generated coordinates where nothing is linked.
+_PROCEDURAL = {
+    f"ShaderNodeTex{kind}"
+    for kind in ("Noise", "Voronoi", "Wave", "Magic", "Musgrave", "Gradient", "Checker", "Brick", "Gabor")
+}
+_LOCAL, _GENERATED, _WORLD = "tg4mm local", "tg4mm generated", "tg4mm world"
+_LOCATION, _RANDOM = "tg4mm location", "tg4mm random"
+_SCALARS = {_RANDOM}
+
 
 def list_names(names: Iterable[str], most: int = 6) -> str:
     """Names in order for a warning, the tail counted."""
     ordered = sorted(names)
     shown = ", ".join(ordered[:most])
     return shown if len(ordered) <= most else f"{shown} and {len(ordered) - most} more"
-
-
-_DEPTH = 3  # folders below that of the file
-_MOST = 20_000  # files that are looked at
 
 
 def find_images(folder: Path) -> list[str]:
@@ -74,9 +84,6 @@ def _files(folder: Path) -> dict[str, Path]:
                     found.setdefault(entry.name.lower(), Path(entry.path))
         level = below
     return found
-
-
-_ENVIRONMENT = (0.25, 1.0)  # linear grey straight below and above, in place of a lost HDR
 
 
 def repair_images(all_trees: Iterable[bpy.types.NodeTree]) -> list[str]:
@@ -130,17 +137,6 @@ def _image(name: str, pixels: np.ndarray, space: str) -> bpy.types.Image:
     image = new_image(name, pixels, space)
     image.pack()
     return image
-
-
-_LOCAL, _GENERATED, _WORLD = "tg4mm local", "tg4mm generated", "tg4mm world"
-_LOCATION, _RANDOM = "tg4mm location", "tg4mm random"
-_ALIAS = "tg4mm user displacement"  # a user's attribute that has the name of ours
-_SCALARS = {_RANDOM}
-# Textures that read Generated coordinates where nothing is linked.
-_PROCEDURAL = {
-    f"ShaderNodeTex{kind}"
-    for kind in ("Noise", "Voronoi", "Wave", "Magic", "Musgrave", "Gradient", "Checker", "Brick", "Gabor")
-}
 
 
 @dataclass

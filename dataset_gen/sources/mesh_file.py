@@ -24,6 +24,17 @@ RADIUS = 1.2  # scene units, of the sphere around the object after scaling
 _SKY = Gradient(((0.18, 0.17, 0.16), (0.4, 0.41, 0.43), (0.6, 0.64, 0.72)))
 _LAMP_AT, _LAMP_SIZE, _LAMP_POWER = (3.2, -2.4, 4.0), 2.5, 200.0  # scene units, watts as Blender counts
 _GREY = (0.45, 0.45, 0.45, 1.0)  # linear
+_SHOWS_DETAIL = ("ShaderNodeTex", "ShaderNodeAttribute", "ShaderNodeVertexColor")
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"), **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"), **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"), **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"), **dict.fromkeys(("double", "float64"), "f8"),
+}  # fmt: skip
+_HEADER = re.compile(rb"ply\r?\n.*?end_header\r?\n", re.S)
+_LONGEST = 1 << 16  # bytes of a header
+_NO_NUMBER = re.compile(rb"(?<![\w.])[+-]?(?:nan|inf)", re.I)
 
 
 @dataclass(frozen=True)
@@ -43,7 +54,6 @@ _FORMATS = {
     ".fbx": _Format("wm.fbx_import", validation="validate_meshes"),
 }  # fmt: skip
 _OLD_FBX = _Format("import_scene.fbx", "io_scene_fbx")
-_SHOWS_DETAIL = ("ShaderNodeTex", "ShaderNodeAttribute", "ShaderNodeVertexColor")
 
 
 def open_mesh(path: Path) -> LoadedScene:
@@ -199,17 +209,6 @@ def _light(scene: bpy.types.Scene, old: bpy.types.Scene, lit: bool, warnings: li
     lamp.location = _LAMP_AT
     lamp.rotation_euler = (-Vector(_LAMP_AT)).to_track_quat("-Z", "Y").to_euler()
     scene.collection.objects.link(lamp)
-
-
-_TYPES = {
-    **dict.fromkeys(("char", "int8"), "i1"), **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "i2"), **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("int", "int32"), "i4"), **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("float", "float32"), "f4"), **dict.fromkeys(("double", "float64"), "f8"),
-}  # fmt: skip
-_HEADER = re.compile(rb"ply\r?\n.*?end_header\r?\n", re.S)
-_LONGEST = 1 << 16  # bytes of a header
-_NO_NUMBER = re.compile(rb"(?<![\w.])[+-]?(?:nan|inf)", re.I)
 
 
 def count_not_finite(path: Path) -> int:

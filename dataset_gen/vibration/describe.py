@@ -16,6 +16,10 @@ from .values import DampedSinusoid, Ramp
 
 _ALWAYS = ("name", "kind", "parts", "magnified")
 _VIBRATES = ("frequency", "amplitude", "amplitude_px", "phase", "phases", "decay")
+_LARGEST = 1 << 20  # bytes of JSON: a description is a page
+KINDS: dict[str, type[Any]] = {
+    cls.kind: cls for cls in (Translate, Rock, Twist, Bending, Membrane, Plate, Wave, Jiggle, Group, Drift)
+}
 
 
 @dataclass(frozen=True)
@@ -210,9 +214,6 @@ def _mode_data(mode: Mode) -> dict[str, Any]:
     return {key: value for key, value in data.items() if value is not None}
 
 
-_LARGEST = 1 << 20  # bytes of JSON: a description is a page
-
-
 def load(path: Path) -> Any:
     """The data in a YAML or JSON file (by its suffix, .json). Raises GenerateError."""
     try:
@@ -226,11 +227,6 @@ def load(path: Path) -> Any:
         raise GenerateError(f"{path} cannot be read: {error.strerror or error}") from None
     except ValueError as error:
         raise GenerateError(f"{path}: {' '.join(str(error).split())}") from None
-
-
-KINDS: dict[str, type[Any]] = {
-    cls.kind: cls for cls in (Translate, Rock, Twist, Bending, Membrane, Plate, Wave, Jiggle, Group, Drift)
-}
 
 
 def keys(kind: str) -> tuple[str, ...]:

@@ -28,6 +28,8 @@ from .values import (
     whole,
 )
 
+RANDOM = "random"
+
 
 @dataclass(frozen=True, eq=False)
 class Body:
@@ -240,9 +242,6 @@ class Group(Field):
     def on(self, body: Body, seed: Sequence[int]) -> Shape:
         weights = np.asarray(body.groups.get(self.group, np.zeros(len(body.vertices))), np.float64)
         return lambda points: weights[:, None] * unit(self.direction)
-
-
-RANDOM = "random"
 
 
 @dataclass(frozen=True)

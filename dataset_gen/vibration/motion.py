@@ -13,6 +13,7 @@ from .values import SINE, TimeLaw
 
 _ROUND = 9  # decimals of a gain: 1e-9 of an amplitude is far below float32
 _ON_A_LINE = 1e-12  # how far off a line, relative, numbers that differ by rounding may lie
+_MANY = 8  # names in a message
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,6 @@ def pixel_displacement(
 
 
 Reference = Callable[[np.ndarray, np.ndarray], float]
-_MANY = 8  # names in a message
 
 
 def solve(

@@ -28,6 +28,14 @@ from .values import (
 
 _MOST = 20  # nodal lines of one kind
 
+# Roots β of cosh β cos β = −1, the frequency equation of the clamped-free beam.
+_BETA = (1.8751040687119611, 4.694091132974175, 7.854757438237613)
+
+# Rayleigh wave in a solid of Poisson's ratio 1/4: (c/c_shear)² is a root of ξ³ − 8ξ² + 56/3 ξ − 32/3.
+_XI = 2.0 - 2.0 / np.sqrt(3.0)
+_MIX = 1.0 - 0.5 * _XI
+_DECAY_P, _DECAY_S = float(np.sqrt(1.0 - _XI / 3.0)), float(np.sqrt(1.0 - _XI))  # per wave number
+
 
 def bessel(order: int, z: np.ndarray) -> np.ndarray:
     """J_order(z) for z ≥ 0 by its integral (1/2π) ∫ cos(order τ − z sin τ) dτ over a turn.
@@ -139,10 +147,6 @@ class Plate(Field):
         return (height * _reach(arm @ n, self.thickness))[:, None] * n
 
 
-# Roots β of cosh β cos β = −1, the frequency equation of the clamped-free beam.
-_BETA = (1.8751040687119611, 4.694091132974175, 7.854757438237613)
-
-
 def _order(value: Any) -> int:
     return whole(value, 1, len(_BETA))
 
@@ -192,12 +196,6 @@ class Bending(Field):
         sway = across(self.direction, axis, "direction")
         deflection, slope = self.profile(arm @ axis)
         return deflection[:, None] * sway - (slope * (arm @ sway))[:, None] * axis
-
-
-# Rayleigh wave in a solid of Poisson's ratio 1/4: (c/c_shear)² is a root of ξ³ − 8ξ² + 56/3 ξ − 32/3.
-_XI = 2.0 - 2.0 / np.sqrt(3.0)
-_DECAY_P, _DECAY_S = float(np.sqrt(1.0 - _XI / 3.0)), float(np.sqrt(1.0 - _XI))  # per wave number
-_MIX = 1.0 - 0.5 * _XI
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from tg4mm.core.values import Number
 
 Triple = tuple[float, float, float]
 _LARGEST, _SMALLEST = 1e9, 1e-9  # what a length, time or frequency can sensibly be; float32 holds all of it
+SINE = -1j  # Re[−i s exp(iωt)] = s sin ωt
 
 
 def shown(value: object) -> str:
@@ -115,9 +116,6 @@ MaybePositive = Annotated[float | None, positive]
 Point = Annotated[Triple, vector]
 Direction = Annotated[Triple, direction]
 Text = Annotated[str, text]
-
-
-SINE = -1j  # Re[−i s exp(iωt)] = s sin ωt
 
 
 class TimeLaw(Protocol):

@@ -12,6 +12,7 @@ from tg4mm.capture.transforms import TransformsFrame, assemble, natural, read_vi
 from tg4mm.core.errors import CaptureError
 
 LAYOUT = "a dataset tree (scene.json and timestep folders 000, 001, …)"
+_PUBLISHED = re.compile(r"mag_([0-9]{1,4})x_test")
 
 
 def recognises(root: Path) -> bool:
@@ -46,9 +47,6 @@ def load(root: Path, split: str, alpha: int) -> Capture:
         )
     views = [view for t, folder in folders.items() for view in read_views(root, folder, split, t)]
     return assemble(root, split, views, scene, count)
-
-
-_PUBLISHED = re.compile(r"mag_([0-9]{1,4})x_test")
 
 
 def _published(root: Path) -> dict[int, Path]:

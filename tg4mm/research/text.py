@@ -4,6 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 NOTHING = "–"
+_ESCAPES = {
+    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "α": r"$\alpha$",
+    "×": r"$\times$", "°": r"$^\circ$", "±": r"$\pm$", "σ": r"$\sigma$", "δ": r"$\delta$", "−": "$-$", "…": r"\dots{}",
+    "–": "--", "“": "``", "”": "''", **{mark: f"\\{mark}" for mark in "&%$#_{}"},
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -16,13 +21,6 @@ class TextTable:
     header: list[str]
     rows: list[list[str]]
     text_columns: int = 1
-
-
-_ESCAPES = {
-    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "α": r"$\alpha$",
-    "×": r"$\times$", "°": r"$^\circ$", "±": r"$\pm$", "σ": r"$\sigma$", "δ": r"$\delta$", "−": "$-$", "…": r"\dots{}",
-    "–": "--", "“": "``", "”": "''", **{mark: f"\\{mark}" for mark in "&%$#_{}"},
-}  # fmt: skip
 
 
 def escaped(text: str) -> str:

@@ -38,6 +38,7 @@ _LIGHT_S, _LIGHT = 0.3, 0.02  # seconds that a level is the median of, and a cha
 _LEAST_STILL = 0.15  # of the usable cells that a background needs
 _APART = 2.0  # times the resolution, from a frequency to its mirror image at half the rate
 _CLIPPED, _CLIPPED_SHARE = 250, 0.02  # grey levels that are clipped but for noise; share of a cell's pixels
+_FEWEST, _LONGEST = 8, 2  # cells × frames of a passing object, and frames that it takes at least
 
 
 def look(
@@ -264,9 +265,6 @@ def swings_of(scene: CellScene) -> Iterator[GlobalMotion]:
         steps = np.abs(smooth[window // 2 + 1 :] - smooth[: -(window // 2 + 1)])
         at = int(steps.argmax()) + window // 4
         yield GlobalMotion("light", float(np.expm1(np.ptp(smooth))), float(scene.times_s[at]), ())
-
-
-_FEWEST, _LONGEST = 8, 2  # cells × frames of a passing object, and frames that it takes at least
 
 
 def movers_of(scene: CellScene) -> tuple[MovingRegion, ...]:

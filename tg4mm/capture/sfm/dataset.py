@@ -24,6 +24,9 @@ _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 COPIED = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 SPACING = 3  # pixels between points of the plane
 
+# World to camera, OpenCV axes: the camera is at the origin, upright, and looks along +y.
+VIEWMAT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+
 
 @dataclass(frozen=True)
 class Track:
@@ -186,10 +189,6 @@ def _frame(track: Track, t: int, file: str) -> dict[str, Any]:
         "h": height,
     }
     return frame if track.times_s is None else frame | {"time": float(track.times_s[t])}
-
-
-# World to camera, OpenCV axes: the camera is at the origin, upright, and looks along +y.
-VIEWMAT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 def write_flat(

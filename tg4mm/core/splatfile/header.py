@@ -28,6 +28,10 @@ TYPES = {
     **dict.fromkeys(("double", "float64"), "<f8"),
 }
 
+# What Brush and others write of files that are drawn with compensated opacities.
+_ANTIALIASED = re.compile(r"(?i)\b(mip\b|anti-?alias)")
+ROWS_AT_ONCE = 8192  # keeps the block being taken apart in the processor's cache
+
 
 @dataclass(frozen=True)
 class Element:
@@ -52,10 +56,6 @@ class Element:
         """Size of the element's data, without lists; of ASCII the least there can be, a digit and a space a number."""
         size = 2 * len(self.properties) if form == ASCII else self.dtype(form).itemsize
         return self.count * size if self.properties else 0
-
-
-# What Brush and others write of files that are drawn with compensated opacities.
-_ANTIALIASED = re.compile(r"(?i)\b(mip\b|anti-?alias)")
 
 
 @dataclass(frozen=True)
@@ -149,9 +149,6 @@ def _about(text: str) -> dict[str, Any]:
     if about.get("n_timesteps") is not None and about["n_timesteps"] != int(about["n_timesteps"]):
         raise SplatFileError(f"n_timesteps is {about['n_timesteps']}; expected a whole number")
     return about
-
-
-ROWS_AT_ONCE = 8192  # keeps the block being taken apart in the processor's cache
 
 
 def check_size(header: Header, actual: int) -> None:

@@ -13,6 +13,27 @@ SH_COUNTS = (1, 4, 9, 16)  # K = (degree + 1)² for degree 0 to 3
 
 # a lossless WebP → [H, W, 4] uint8, first row at the top; raises ValueError
 Decode = Callable[[bytes], np.ndarray]
+FORMAT_VERSION = 1
+MARK = "comment tg4mm "
+POSITION = ("x", "y", "z")
+NORMAL = ("nx", "ny", "nz")  # zeros, there because viewers expect them
+F_DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+OPACITY = ("opacity",)
+SCALE = ("scale_0", "scale_1", "scale_2")
+ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+
+# exp and the sigmoid never give exactly 0 or 1, so these ends are written as the nearest that survives.
+SMALLEST_SCALE = 1e-12  # scene units; written for anything smaller
+OPACITY_MARGIN = 2.0**-24  # opacities are written between this and 1 minus this, the float32 next to 1
+
+LINEAR = "is fitted to viewers that blend in linear light, as Blender does: others show it too dark"
+ANTIALIASED = (
+    "was trained anti-aliased, for renderers that fade what their low-pass widens: here, Gaussians that are small "
+    "in the picture are too opaque"
+)
+_FIRST = ("means", "quats", "scales", "opacities", "sh")  # arrays with a row for each Gaussian
+_SECOND = ("displacement", "rotation", "deviation")  # of each mode
+_WORDS = {"means": "position", "quats": "rotation", "scales": "scale", "opacities": "opacity", "sh": "colour"}
 
 
 @dataclass(frozen=True)
@@ -144,20 +165,6 @@ def _no_rotation(quats: np.ndarray) -> np.ndarray:
     return np.asarray((w == 0) & (x == 0) & (y == 0) & (z == 0))
 
 
-FORMAT_VERSION = 1
-MARK = "comment tg4mm "
-POSITION = ("x", "y", "z")
-NORMAL = ("nx", "ny", "nz")  # zeros, there because viewers expect them
-F_DC = ("f_dc_0", "f_dc_1", "f_dc_2")
-OPACITY = ("opacity",)
-SCALE = ("scale_0", "scale_1", "scale_2")
-ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
-
-# exp and the sigmoid never give exactly 0 or 1, so these ends are written as the nearest that survives.
-SMALLEST_SCALE = 1e-12  # scene units; written for anything smaller
-OPACITY_MARGIN = 2.0**-24  # opacities are written between this and 1 minus this, the float32 next to 1
-
-
 def f_rest(count: int) -> tuple[str, ...]:
     """Names of `count` further SH coefficients: channel-major, all of red, then green, then blue."""
     return tuple(f"f_rest_{i}" for i in range(count))
@@ -231,16 +238,6 @@ def parsed_frequencies(text: str) -> tuple[float, ...]:
             )
         found.append(value)
     return tuple(found)
-
-
-LINEAR = "is fitted to viewers that blend in linear light, as Blender does: others show it too dark"
-ANTIALIASED = (
-    "was trained anti-aliased, for renderers that fade what their low-pass widens: here, Gaussians that are small "
-    "in the picture are too opaque"
-)
-_FIRST = ("means", "quats", "scales", "opacities", "sh")  # arrays with a row for each Gaussian
-_SECOND = ("displacement", "rotation", "deviation")  # of each mode
-_WORDS = {"means": "position", "quats": "rotation", "scales": "scale", "opacities": "opacity", "sh": "colour"}
 
 
 def drawable(fields: dict[str, Any], notes: Sequence[str] = ()) -> SplatFile:

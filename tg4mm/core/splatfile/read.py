@@ -22,6 +22,19 @@ from tg4mm.core.splatfile.ply import head_of_ply, read_ply
 from tg4mm.core.splatfile.sog import head_of_sog, read_sog
 
 _RECORD = np.dtype([("place", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("turn", "u1", 4)])
+ENDINGS = (".ply", ".splat", ".spz", ".sog", ".glb", ".gltf", ".json")  # of files that can be read
+_OTHERS = {  # known, and not read
+    ".ksplat": "KSPLAT, of one viewer alone",
+    ".splatv": "SPLATV, a 4D format of one viewer alone",
+    ".npz": "a NumPy archive, as Dynamic 3D Gaussians write",
+    **dict.fromkeys((".pth", ".pt", ".ckpt"), "a checkpoint of PyTorch, as trainers of 4D Gaussians write"),
+    ".lcc": "LCC",
+    ".usd": "USD",
+    ".usda": "USD",
+    ".usdc": "USD",
+    ".usdz": "USD",
+}
+_LOG = logging.getLogger("tg4mm")
 
 
 def head_of_splat(size: int) -> Head:
@@ -49,21 +62,6 @@ def read_antimatter(file: BinaryIO, size: int) -> SplatFile:
         "sh": model.f_dc(rgba[:, None, :3]),
     }
     return drawable(fields)
-
-
-ENDINGS = (".ply", ".splat", ".spz", ".sog", ".glb", ".gltf", ".json")  # of files that can be read
-_OTHERS = {  # known, and not read
-    ".ksplat": "KSPLAT, of one viewer alone",
-    ".splatv": "SPLATV, a 4D format of one viewer alone",
-    ".npz": "a NumPy archive, as Dynamic 3D Gaussians write",
-    **dict.fromkeys((".pth", ".pt", ".ckpt"), "a checkpoint of PyTorch, as trainers of 4D Gaussians write"),
-    ".lcc": "LCC",
-    ".usd": "USD",
-    ".usda": "USD",
-    ".usdc": "USD",
-    ".usdz": "USD",
-}
-_LOG = logging.getLogger("tg4mm")
 
 
 def read_splat(

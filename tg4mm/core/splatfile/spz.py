@@ -33,6 +33,11 @@ _ZSTD = 1 << 17  # bytes, at most, that one byte packed by zstd stands for: a bl
 _AXES = 0xADBE0003  # the extension that names the axes, one of these, right left up down back front
 _SYSTEMS = tuple(x + rest for rest in ("DB", "UB", "DF", "UF", "FD", "FU", "BD", "BU") for x in "LR")
 _TOWARDS = {"R": (1, 0, 0), "L": (-1, 0, 0), "U": (0, 1, 0), "D": (0, -1, 0), "B": (0, 0, 1), "F": (0, 0, -1)}
+_MOST_BITS = 23  # after the binary point; a position has 24 with its sign
+_LARGEST = 2**23 - 1  # what a position of 24 bits holds
+COLOUR = 0.15  # of the range of a byte, for a change of 1 in f_dc
+_LEVEL = 6  # of compression
+MAGIC, _VERSION = 0x5053474E, 3
 
 
 @dataclass(frozen=True)
@@ -221,13 +226,6 @@ def _smallest_three(packed: np.ndarray) -> np.ndarray:
     parts = np.stack([packed >> np.uint32(s) & np.uint32(1023) for s in (20, 10, 0)], axis=1)
     others = np.sqrt(0.5) / 511 * (parts & np.uint32(511)) * np.where(parts >> np.uint32(9), -1, 1)
     return largest_put_in(others, (packed >> np.uint32(30)).astype(np.intp))
-
-
-MAGIC, _VERSION = 0x5053474E, 3
-_MOST_BITS = 23  # after the binary point; a position has 24 with its sign
-_LARGEST = 2**23 - 1  # what a position of 24 bits holds
-COLOUR = 0.15  # of the range of a byte, for a change of 1 in f_dc
-_LEVEL = 6  # of compression
 
 
 def write_spz(path: str | Path, splat: SplatFile) -> None:

@@ -16,6 +16,7 @@ from tg4mm.research.bench.measure import stage_costs
 # Statistician 69, 2015).
 _RESAMPLES = 4000
 _LEVEL = 0.95
+JUDGED = "modal"  # the row that others are compared with
 
 
 def half_width(values: Sequence[float], scenes: Sequence[str]) -> float | None:
@@ -48,9 +49,6 @@ def _drawn(scene_of: tuple[int, ...]) -> tuple[np.ndarray, float]:
             np.add.at(counts, (drawn[:, None], picks), 1)
     factor = math.sqrt(n / (n - 1)) * float(t.ppf(0.5 + _LEVEL / 2, n - 1))
     return counts / counts.sum(1, keepdims=True), factor
-
-
-JUDGED = "modal"  # the row that others are compared with
 
 
 def main_frequency(displacement: Mapping[str, Any] | None) -> dict[str, Any]:

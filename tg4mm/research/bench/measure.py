@@ -36,6 +36,31 @@ AGREES = 0.5  # correlation of both changes from which a Gaussian's motion count
 _SHIFT_PX = 1.0  # intended motion by the choice of α, large enough to show and small enough to be linear
 _TIMES = 12  # timesteps that are compared, at most
 _STILL = 0.01  # of the largest motion; a Gaussian with less is static
+FIGURES = "figures.json"
+MADE = "made.json"
+SEEN = ("closure", "change_gain", "change_residual")  # visible motion by one way to magnify
+VERSION = 5  # of the figures; to be raised when the same request would give others
+_STAGES = {"space": float, "motion": float, "total": float}
+# Entries of a run for tables and pages, here and in results.json.
+OF_RUN = {
+    "log": {str: dict.fromkeys(("seconds?", "peak_memory_mib?", "iterations?"), Maybe(float))},
+    "seconds": _STAGES,
+    "model": str,
+    "rows": {float: {str: {str: Maybe(float)}}},
+    "displacement": Maybe(DISPLACEMENT),
+    "notes": [str],
+    "made?": CIRCUMSTANCES,  # time, machine and version of the training
+}
+FORM = {
+    "version": Just(VERSION),
+    "request": {"settings": {str: dict}, "band_hz": Maybe([float])},
+    **OF_RUN,
+    "n_gaussians": int,
+    "mib_on_disk": float,
+    "absent": {str: str},
+    "observed?": {str: Maybe(float)},
+    "strongest_hz?": Maybe(float),
+}
 
 
 def observed_figures(subject: Subject, data: BenchSet, train: Capture) -> dict[str, float | None]:
@@ -100,33 +125,6 @@ def looked_at(n_timesteps: int, fps: float, frequency_hz: float) -> list[int]:
 def rms_motion(motion: ModalMotion) -> np.ndarray:
     """Return the rms over modes of the phasors' lengths, [N], scene units."""
     return np.sqrt((np.abs(motion.displacement.astype(np.complex128)) ** 2).sum((0, 2)) / 2)
-
-
-FIGURES = "figures.json"
-MADE = "made.json"
-SEEN = ("closure", "change_gain", "change_residual")  # visible motion by one way to magnify
-VERSION = 5  # of the figures; to be raised when the same request would give others
-_STAGES = {"space": float, "motion": float, "total": float}
-# Entries of a run for tables and pages, here and in results.json.
-OF_RUN = {
-    "log": {str: dict.fromkeys(("seconds?", "peak_memory_mib?", "iterations?"), Maybe(float))},
-    "seconds": _STAGES,
-    "model": str,
-    "rows": {float: {str: {str: Maybe(float)}}},
-    "displacement": Maybe(DISPLACEMENT),
-    "notes": [str],
-    "made?": CIRCUMSTANCES,  # time, machine and version of the training
-}
-FORM = {
-    "version": Just(VERSION),
-    "request": {"settings": {str: dict}, "band_hz": Maybe([float])},
-    **OF_RUN,
-    "n_gaussians": int,
-    "mib_on_disk": float,
-    "absent": {str: str},
-    "observed?": {str: Maybe(float)},
-    "strongest_hz?": Maybe(float),
-}
 
 
 def measure(

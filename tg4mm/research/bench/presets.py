@@ -22,6 +22,25 @@ _SMOKE_SETTINGS = (
     "paper.iterations=300", "paper.motion_iterations=20", "paper.channels=4", "paper.resolution=32",
 )  # fmt: skip
 
+# Of the splits: sized for a bound of the first mode of a tenth (docs/protocol.md).
+_SPLIT = ("--noise", "picture", "--amplitude-px", "0.5", "--alphas", "5,10,20")
+_DEV = (  # scene, Hz, timesteps at 30 Hz, seed; 4.3 Hz lies between the bins
+    ("mic", 5, 6, 0), ("chair", 5, 6, 1), ("lego", 5, 6, 0), ("hotdog", 5, 6, 2), ("ficus", 5, 6, 1),
+    ("materials", 5, 6, 2), ("ship", 5, 6, 0), ("drums", 5, 6, 1), ("mic", 4.3, 12, 2), ("chair", 3, 10, 0),
+)  # fmt: skip
+_METHODS = ("modal", "sc-gs", "phase-2d")
+_COST, _MORE = "--views 12 --samples 32", "--views 30 --samples 64"  # drums show their motion least
+_DEV_SCENES = tuple(
+    f"{scene} --frequency {hz} --timesteps {n} --seed {seed} {_MORE if scene == 'drums' else _COST} --test-views 1"
+    for scene, hz, n, seed in _DEV
+)
+_TEST_SCENES = tuple(  # half a second with a second mode at 7.3 Hz; 4.6 and 7.3 Hz lie between the bins
+    f"{scene} --motion second --timesteps 15 --seed {100 + i % 3} {_MORE if scene == 'drums' else _COST}"
+    f" --test-views 2 --cameras rig{' --frequency 4.6' if i in (0, 5) else ''}"
+    for i, scene in enumerate(SCENES)
+)
+_TEXT, _TEXTS, _NUMBERS = "a text", "a list of texts", "a list of whole numbers"
+
 
 @dataclass(frozen=True)
 class BenchPreset:
@@ -34,23 +53,6 @@ class BenchPreset:
     seeds: tuple[int, ...] = ()  # of the generator, every scene with each; (): its default
 
 
-# Of the splits: sized for a bound of the first mode of a tenth (docs/protocol.md).
-_SPLIT = ("--noise", "picture", "--amplitude-px", "0.5", "--alphas", "5,10,20")
-_COST, _MORE = "--views 12 --samples 32", "--views 30 --samples 64"  # drums show their motion least
-_DEV = (  # scene, Hz, timesteps at 30 Hz, seed; 4.3 Hz lies between the bins
-    ("mic", 5, 6, 0), ("chair", 5, 6, 1), ("lego", 5, 6, 0), ("hotdog", 5, 6, 2), ("ficus", 5, 6, 1),
-    ("materials", 5, 6, 2), ("ship", 5, 6, 0), ("drums", 5, 6, 1), ("mic", 4.3, 12, 2), ("chair", 3, 10, 0),
-)  # fmt: skip
-_DEV_SCENES = tuple(
-    f"{scene} --frequency {hz} --timesteps {n} --seed {seed} {_MORE if scene == 'drums' else _COST} --test-views 1"
-    for scene, hz, n, seed in _DEV
-)
-_TEST_SCENES = tuple(  # half a second with a second mode at 7.3 Hz; 4.6 and 7.3 Hz lie between the bins
-    f"{scene} --motion second --timesteps 15 --seed {100 + i % 3} {_MORE if scene == 'drums' else _COST}"
-    f" --test-views 2 --cameras rig{' --frequency 4.6' if i in (0, 5) else ''}"
-    for i, scene in enumerate(SCENES)
-)
-_METHODS = ("modal", "sc-gs", "phase-2d")
 PRESETS = {
     "smoke": BenchPreset(("mic",), _SMOKE, settings=_SMOKE_SETTINGS),
     "small": BenchPreset(SCENES, ("--samples", "32")),
@@ -182,9 +184,6 @@ def run_preset(name: str, out: Path, choices: Choices = Choices(), say: Printer 
             rest = "; continuing with the rest" if i < len(steps) else ""
             say(f"    {step.name} ended with status {status}{rest}")
     return len(failed)
-
-
-_TEXT, _TEXTS, _NUMBERS = "a text", "a list of texts", "a list of whole numbers"
 
 
 def _given(config: Mapping[str, Any], kinds: Mapping[str, str]) -> dict[str, Any]:

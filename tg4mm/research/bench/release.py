@@ -35,6 +35,11 @@ that is called a test.
 `{croissant}` holds the table below for programs (Croissant 1.0). `sha256sum -c {sums}` or `tg4mm bench verify DIR`
 checks every file.
 """
+_COLUMNS = dict.fromkeys(("set", "scene", "cameras", "pixels"), "sc:Text") | {
+    "views": "sc:Integer", "timesteps": "sc:Integer", "Hz": "sc:Float", "motion, px": "sc:Float",
+    "seed": "sc:Text", "noise": "sc:Text", "MiB": "sc:Float",
+}  # fmt: skip
+_CR = "http://mlcommons.org/croissant/"
 
 
 def release(root: Path, version: str) -> list[Path]:
@@ -60,13 +65,6 @@ def release(root: Path, version: str) -> list[Path]:
     lines = [f"{digest}  {name}\n" for name, digest in _digests(root, _files(root))]
     write_text(root / SUMS, "".join(lines))
     return [root / CARD, root / CROISSANT, root / SUMS]
-
-
-_COLUMNS = dict.fromkeys(("set", "scene", "cameras", "pixels"), "sc:Text") | {
-    "views": "sc:Integer", "timesteps": "sc:Integer", "Hz": "sc:Float", "motion, px": "sc:Float",
-    "seed": "sc:Text", "noise": "sc:Text", "MiB": "sc:Float",
-}  # fmt: skip
-_CR = "http://mlcommons.org/croissant/"
 
 
 def _croissant(name: str, version: str, rows: list[list[str]], digests: Mapping[str, str]) -> dict[str, Any]:

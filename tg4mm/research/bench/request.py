@@ -14,6 +14,10 @@ from tg4mm.run import Run
 from tg4mm.run.preset import preset_named
 from tg4mm.run.train import parse_settings
 
+SAME_TIME = "modal's time"
+# Only `modal` has this setting: with a `paper` preset the base Gaussians' iterations are paper.warm_up.
+_OF_MODAL = {"space.iterations"}
+
 
 @dataclass(frozen=True)
 class Scoring:
@@ -89,11 +93,6 @@ class BenchPlan:
     def band(self, data: BenchSet) -> list[float] | None:
         """Return the band in JSON's types; None: every frequency."""
         return list(data.band_hz) if self.banded else None
-
-
-SAME_TIME = "modal's time"
-# Only `modal` has this setting: with a `paper` preset the base Gaussians' iterations are paper.warm_up.
-_OF_MODAL = {"space.iterations"}
 
 
 def settings_by_preset(given: Mapping[str, str], presets: Sequence[str]) -> dict[str, dict[str, str]]:

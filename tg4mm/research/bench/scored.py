@@ -40,6 +40,12 @@ METRICS: dict[str, tuple[str, str]] = {
     "md_vqa": ("MD-VQA", "{:.2f}"),
     "fast_vqa": ("FAST-VQA", "{:.4f}"),
 }
+_SECONDS = 4.0  # duration of a video, by repetition
+_MINUTES = 30  # time limit of a program
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+# {metric: arguments before the video's name, run by Python in the checkout's folder}
+PROGRAMS = {"md_vqa": ("test_video.py", "-i"), "fast_vqa": ("vqa.py", "-m", "FAST-VQA", "-v")}
+OPTIONS = {"md_vqa": "--md-vqa", "fast_vqa": "--fast-vqa"}
 
 
 @dataclass
@@ -194,14 +200,6 @@ def video_of(capture: Capture, rows: np.ndarray, root: Path | None = None) -> np
             raise BenchError(f"{path}: is {size} pixels, expected {capture.width}×{capture.height}")
         frames.append(ImageStack(image[None]).rgb(0, background=BACKGROUND))
     return np.stack(frames)
-
-
-_SECONDS = 4.0  # duration of a video, by repetition
-_MINUTES = 30  # time limit of a program
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-# {metric: arguments before the video's name, run by Python in the checkout's folder}
-PROGRAMS = {"md_vqa": ("test_video.py", "-i"), "fast_vqa": ("vqa.py", "-m", "FAST-VQA", "-v")}
-OPTIONS = {"md_vqa": "--md-vqa", "fast_vqa": "--fast-vqa"}
 
 
 @dataclass(frozen=True)

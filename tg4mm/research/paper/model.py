@@ -26,6 +26,19 @@ from tg4mm.run import Run
 
 TRIPLANE = "triplane"
 _OWN = {"planes", "points", "box"}
+_RULES = {
+    "channels": Number(1, 1024),
+    "resolution": Number(16, 4096),
+    "mlp_layers": Number(0, 64),
+    "mlp_width": Number(1, 4096),
+    "warm_up": Number(1, MOST_ITERATIONS),
+    "motion_iterations": Number(1, MOST_ITERATIONS),
+    "learning_rate": POSITIVE,
+    "motion_learning_rate": POSITIVE,
+    "motion_rate_falls_to": Number(0, 1, above=True),
+    "deviation": POSITIVE,
+    "seed": SEED,
+}
 
 
 @dataclass(frozen=True)
@@ -70,21 +83,6 @@ PAPER_TUNED = PaperConfig(
     channels=16, resolution=64, iterations=3_000, warm_up=1_500, motion_iterations=200,
     motion_rate_falls_to=0.03, difference=True,
 )  # fmt: skip
-
-
-_RULES = {
-    "channels": Number(1, 1024),
-    "resolution": Number(16, 4096),
-    "mlp_layers": Number(0, 64),
-    "mlp_width": Number(1, 4096),
-    "warm_up": Number(1, MOST_ITERATIONS),
-    "motion_iterations": Number(1, MOST_ITERATIONS),
-    "learning_rate": POSITIVE,
-    "motion_learning_rate": POSITIVE,
-    "motion_rate_falls_to": Number(0, 1, above=True),
-    "deviation": POSITIVE,
-    "seed": SEED,
-}
 
 
 def checked(config: PaperConfig) -> PaperConfig:

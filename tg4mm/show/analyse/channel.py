@@ -40,6 +40,7 @@ _UNITS = _OTHERS | {
 _LOG = logging.getLogger("tg4mm")
 _RESOLVED = 10.0  # times as uncertain as the best axis: beyond it an axis is left out
 _PLAIN = {"²": "2", "⁻": "-", "¹": "1", "^": "", "*": "", "µ": "u", "μ": "u", "·": " ", "sec": "s"}
+_KINDS = {8: DISPLACEMENT, 9: FORCE, 11: VELOCITY, 12: ACCELERATION}  # specific data types of dataset 58
 
 
 @dataclass(frozen=True)
@@ -209,9 +210,6 @@ def _resampling(own: np.ndarray, even: np.ndarray, rows: int) -> str:
         f"{lacks}; steps are {np.diff(own).min():.4g} to {np.diff(own).max():.4g} s: resampled at {rate:.6g} Hz "
         f"by cubic splines, which are good up to {rate / 3:.4g} Hz"
     )
-
-
-_KINDS = {8: DISPLACEMENT, 9: FORCE, 11: VELOCITY, 12: ACCELERATION}  # specific data types of dataset 58
 
 
 def _of_uff(path: Path) -> list[Channel]:

@@ -21,6 +21,13 @@ from tg4mm.core.progress import progress
 
 _RATES = (0.01, 10_000.0)  # pictures a second; limits of encoder and players
 
+# Ctrl+C must reach only this program, which ends the encoder.
+_SEPARATE_GROUP: dict[str, Any] = (
+    {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
+    if sys.platform == "win32"
+    else {"start_new_session": True}
+)
+
 
 def check_rate(fps: float) -> None:
     """Raise RunError for a rate, in pictures a second, that no video can have."""
@@ -125,14 +132,6 @@ def _encode(
             raise RunError(
                 f"{path.parent}: no video could be written, ffmpeg ended with {status}: {errors}{remedy}"
             )
-
-
-# Ctrl+C must reach only this program, which ends the encoder.
-_SEPARATE_GROUP: dict[str, Any] = (
-    {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
-    if sys.platform == "win32"
-    else {"start_new_session": True}
-)
 
 
 def _errors(messages: IO[bytes]) -> str:

@@ -19,6 +19,9 @@ _LOG = logging.getLogger("tg4mm")
 # What `parallel=True` would run on threads besides `prange`: arrays filled, sums … Each would be compiled as a kernel.
 _ALONE = ("comprehension", "reduction", "inplace_binop", "setitem", "numpy", "stencil", "fusion")
 
+# Of parts, which kernels alone call: wrappers for calls from Python would take a sixth of all compile time.
+_PART = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
 
 def _digest() -> str:
     """Return the digest of all files of kernels/, where this file is, and of simd/ beside it."""
@@ -66,10 +69,6 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return dispatcher
 
     return decorate
-
-
-# Of parts, which kernels alone call: wrappers for calls from Python would take a sixth of all compile time.
-_PART = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def part(function: Callable[..., Any]) -> Any:

@@ -20,6 +20,8 @@ from tg4mm.run.tensor_file import model_hash
 
 # (index of the capture's image, [H, W, 3] float32 in 0..1 over white)
 Pictures = Iterator[tuple[int, np.ndarray]]
+_CAMERAS_AT_ONCE = 8  # pictures held
+_VERSION = 1  # of the pictures; to be raised when the same model would give others
 
 
 class Method(Protocol):
@@ -55,10 +57,6 @@ class Method(Protocol):
         Preparations, such as opening a model, are done by the call, since the iteration is timed.
         """
         ...
-
-
-_CAMERAS_AT_ONCE = 8  # pictures held
-_VERSION = 1  # of the pictures; to be raised when the same model would give others
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,10 @@ _MAY_BE_ZERO = ("smoothness", "seed", "margin", "stiffness")
 
 C = TypeVar("C")
 
+# 4DGS's rates for its Gaussians; a tenth is used, since these are fitted already. Means per unit of the box.
+_RATES = {"means": 1.6e-4, "quats": 1e-3, "log_scales": 5e-3, "logits": 5e-2, "sh": 2.5e-3}
+PER_FRAME = "per-frame"
+
 
 def configured(name: str, usual: C, given: Mapping[str, str]) -> C:
     """Return `usual` with the settings `NAME.KEY`. Raises Tg4mmError for an unknown one, and an invalid value."""
@@ -177,10 +181,6 @@ def descend(
             update(i + 1)
 
 
-# 4DGS's rates for its Gaussians; a tenth is used, since these are fitted already. Means per unit of the box.
-_RATES = {"means": 1.6e-4, "quats": 1e-3, "log_scales": 5e-3, "logits": 5e-2, "sh": 2.5e-3}
-
-
 class Free:
     """Gaussians with trained attributes."""
 
@@ -202,9 +202,6 @@ def from_first(g: Gaussians, motion: Callable[[int], Tensor], n: int) -> tuple[G
     """Return the Gaussians at timestep 0 and the motion from there [n, N, 6]; small rotations are subtracted."""
     series = torch.stack([motion(t) for t in range(n)])
     return moved(g.detach(), series[0]), series - series[0]
-
-
-PER_FRAME = "per-frame"
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,11 @@ from tg4mm.research.evaluate.run import CEILING, STATIC
 
 FILE, NAME = "displacement.npz", "displacement"
 _NOTE = "displacements handed in: errors are over the points of points3d.ply, each with the same weight"
+_PNG = b"\x89PNG\r\n\x1a\n"
+TRACKING = tracking.NAME
+_TG4MM = "the method of TG4MM, the paper that this program implements"
+_TRACKING = tracking.TrackingConfig()
+DEFAULT = ("modal", "paper-tuned", TRACKING, Phase2D.name)
 
 
 def submitted(folder: Path, data: BenchSet) -> dict[str, Any]:
@@ -94,9 +99,6 @@ def _motion(
 ) -> ModalMotion:
     still = np.zeros_like(phasors)
     return ModalMotion(freqs_hz, phasors, still, data.fps, data.n_timesteps, gains)
-
-
-_PNG = b"\x89PNG\r\n\x1a\n"
 
 
 @dataclass(frozen=True)
@@ -195,9 +197,6 @@ class Known:
     whole: Method | None = None
 
 
-TRACKING = tracking.NAME
-_TG4MM = "the method of TG4MM, the paper that this program implements"
-_TRACKING = tracking.TrackingConfig()
 METHODS: dict[str, Known] = {
     "modal": Known("tg4mm's own; Gaussians, a few shapes of motion and their courses over time, all views at once"),
     "paper": Known(f"{_TG4MM}; magnified by `linear` or `phase`"),
@@ -215,7 +214,6 @@ METHODS: dict[str, Known] = {
 }  # fmt: skip
 NAMES = tuple(METHODS)
 _TAKEN = {*NAMES, STATIC, CEILING, SET}  # folders of rows; some file systems know no upper case
-DEFAULT = ("modal", "paper-tuned", TRACKING, Phase2D.name)
 
 
 def checked_names(names: Sequence[str]) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from tg4mm.research.bench.methods.deformed import Free, Moving, box_of, descend,
 from tg4mm.research.paper.space import Cameras
 
 NAME, ALONG = "tracking", "4dgs"
+_PAIRS = tuple(combinations(range(4), 2))  # of x, y, z, t
 
 
 @dataclass(frozen=True)
@@ -84,9 +85,6 @@ def _fitted(
     name = ALONG if groups else NAME
     descend(name, now, motion, rough, [*own, *groups], views, config.iterations, config.seed)
     return field, motion
-
-
-_PAIRS = tuple(combinations(range(4), 2))  # of x, y, z, t
 
 
 class HexPlane(nn.Module):

@@ -8,6 +8,16 @@ from tg4mm.research.bench.pages.tables import groups_of, kinds_tables, tables_of
 from tg4mm.research.evaluate.run import STATIC
 from tg4mm.research.text import TextTable, table
 
+_FRAMING = (
+    "“Nothing moves” is the Gaussians of the first of modal, paper and paper-tuned that is run, at rest; the ceiling "
+    "the exact motion applied to them. "
+)
+_INTERVALS = (
+    "After ± stands half of the 95 % interval of a mean, by bootstrap over scenes and the sets (seeds, motions) of "
+    "each, with Student's t for the number of scenes. "
+)
+_OF_2D = "The methods called 2d magnify the test views' own videos, which no 3D method sees, and have no other views. "
+
 
 def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, Mapping[str, str]]) -> str:
     """Return the page that becomes docs/results.md. pictures: {group: {file name: title}}."""
@@ -61,17 +71,6 @@ def trained_otherwise(made: Mapping[str, Any], runs: Mapping[str, Mapping[str, A
         if run.get("made") and _computer(run["made"]) != _computer(made):
             found.setdefault(_computer(run["made"]), []).append(f"{name} ({run['made']['date']})")
     return [f"{computer}: {', '.join(names)}" for computer, names in found.items()]
-
-
-_FRAMING = (
-    "“Nothing moves” is the Gaussians of the first of modal, paper and paper-tuned that is run, at rest; the ceiling "
-    "the exact motion applied to them. "
-)
-_INTERVALS = (
-    "After ± stands half of the 95 % interval of a mean, by bootstrap over scenes and the sets (seeds, motions) of "
-    "each, with Student's t for the number of scenes. "
-)
-_OF_2D = "The methods called 2d magnify the test views' own videos, which no 3D method sees, and have no other views. "
 
 
 def how(results: Mapping[str, Any]) -> str:

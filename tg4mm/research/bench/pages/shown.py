@@ -32,6 +32,8 @@ TRUTH = "ground truth"
 _MAPS = 6  # of the first seven frames, as [TG4MM] Fig. 4
 _SLICE_HEIGHT = 96  # in the file, pixels
 _REPEATS = 24  # pictures that a slice shows at least
+_WIDTH = 720  # of every picture, pixels
+_LABEL = 22
 
 
 @dataclass(frozen=True)
@@ -155,10 +157,6 @@ def _slider(s: ShownView) -> Markup:
         '<label>right <select data-pick="right">{right}</select></label></div>'
         "<figcaption>Test view {view}, timestep {t}. Move the edge to compare.</figcaption></figure>"
     ).format(w=width, h=height, a=sources[TRUTH], b=sources[second], view=s.view, t=t, **options)
-
-
-_WIDTH = 720  # of every picture, pixels
-_LABEL = 22
 
 
 def write_sheet(out: Path, rows: Mapping[str, np.ndarray], height: int = 0) -> None:

@@ -64,6 +64,7 @@ _MODES = (
 _SEEN = tuple((key, title, "{:.2f}") for key, title in (
     ("closure", "closure"), ("change_gain", "gain"), ("change_residual", "residual"),
 ))  # fmt: skip
+_COMPARED = ("ssim", "ssim_moving")
 
 
 def _titles(columns: Columns) -> list[str]:
@@ -131,9 +132,6 @@ def with_half(value: float | None, half: float | None, form: str) -> str:
         if value is None or half is None
         else f"{mean_shown} ± {form.replace('+', '').format(half)}"
     )
-
-
-_COMPARED = ("ssim", "ssim_moving")
 
 
 def differences_tables(results: Results, group: str) -> Iterator[TextTable]:

@@ -47,6 +47,7 @@ _LEAST, _MOST = (
     1.6,
 )  # limits of closure and gain, so that one distant method does not compress the others
 _SHOWN = ("ssim", "ssim_moving", "closure", "gain")
+_HERE = Path(__file__).parent
 
 
 def over_alpha(results: Mapping[str, Any], group: str) -> str | None:
@@ -163,9 +164,6 @@ def write_results(out: Path, results: Mapping[str, Any]) -> None:
     for old in before:
         old.unlink()  # of methods or groups that are no longer in the results
     write_text(out / "results.md", markdown.scenes_page(results, pictures))
-
-
-_HERE = Path(__file__).parent
 
 
 def write_page(out: Path, results: Mapping[str, Any]) -> Path:
