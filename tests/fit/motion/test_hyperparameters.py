@@ -92,16 +92,20 @@ def targets(images):
 
 
 class TestSmoothness:
-    def test_noise_asks_for_more_of_it(self, anywhere):
+    def test_noise_asks_for_more_of_it(self, problem):
         """All move nearly as one; no noise, and thirty times the pictures' rms, with chance in every draw."""
         little, much = (
             [
-                weight_for(anywhere, shown(anywhere, as_one() + 0.3 * each_by_itself(k), noise, k))
+                weight_for(problem, shown(problem, as_one() + 0.3 * each_by_itself(k), noise, k))
                 for k in range(6)
             ]
             for noise in (0.0, 30.0)
         )
         assert np.log(much).mean() > np.log(2) + np.log(little).mean()
+
+    def test_the_operators_of_a_gpu_give_the_same(self, problem):
+        images = shown(problem, as_one() + 0.3 * each_by_itself(), 1.0)
+        assert weight_for(OnTensors.of(problem), images) == pytest.approx(weight_for(problem, images), rel=1e-3)
 
     @pytest.mark.parametrize("still", [[0], [1], [0, 1]])
     def test_a_fold_that_does_not_change_says_nothing(self, problem, still):
@@ -152,9 +156,9 @@ class TestSmoothness:
         assert smoothest(np.array(CANDIDATES), 100 - explained, 100.0) == pytest.approx(CANDIDATES[-1])
 
     @pytest.mark.parametrize("noise", [1.0, 3.0])
-    def test_motion_of_all_as_one_in_noise_is_held_as_firmly(self, anywhere, noise):
+    def test_motion_of_all_as_one_in_noise_is_held_as_firmly(self, problem, noise):
         """In most draws of noise the least error lies at the end of the first candidates, or beyond."""
-        found = [weight_for(anywhere, shown(anywhere, as_one(), noise, seed)) for seed in range(5)]
+        found = [weight_for(problem, shown(problem, as_one(), noise, seed)) for seed in range(5)]
         assert np.median(found) >= 0.9 * CANDIDATES[-1]
 
 
