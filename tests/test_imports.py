@@ -7,6 +7,12 @@ import sys
 import pytest
 
 BLOCKED = "import sys\nfor name in {blocked!r}: sys.modules[name] = None\n"
+FLOORS = ("core", "capture", "fit", "run", "show", "research", "cli")  # each may import those before it
+MAY_IMPORT = {room: {*FLOORS[:floor]} for floor, room in enumerate(FLOORS)}
+_ADDON = ("compat", "names", "units", "nodes", "preferences", "declare", "panels", "io", "probe")
+
+# `__init__` gives names to users or registers, `__main__` is a door; make_extension runs outside of Blender
+DOORS = {"tg4mm/__init__.py", "tg4mm/__main__.py", "addon/__init__.py", "addon/make_extension.py"}
 
 
 def run_without(blocked, code, root):
@@ -46,15 +52,10 @@ def test_what_needs_no_torch_imports_without_it(repo_root, name):
     assert done.returncode == 0, done.stderr
 
 
-FLOORS = ("core", "capture", "fit", "run", "show", "research", "cli")  # each may import those before it
-MAY_IMPORT = {room: {*FLOORS[:floor]} for floor, room in enumerate(FLOORS)}
 MAY_IMPORT |= {room: {*MAY_IMPORT[room], "dataset_gen"} for room in ("research", "cli")}
 MAY_IMPORT |= {"dataset_gen": {"core", "capture"}}
-_ADDON = ("compat", "names", "units", "nodes", "preferences", "declare", "panels", "io", "probe")
 ADDON_MAY_IMPORT = {room: {*_ADDON[:floor], "core"} for floor, room in enumerate(_ADDON)}
 ADDON_MAY_IMPORT |= {"jobs": {*_ADDON[: _ADDON.index("probe")], "core", "dataset_gen"}}
-# `__init__` gives names to users or registers, `__main__` is a door; make_extension runs outside of Blender
-DOORS = {"tg4mm/__init__.py", "tg4mm/__main__.py", "addon/__init__.py", "addon/make_extension.py"}
 
 
 def room_of(module):

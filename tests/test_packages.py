@@ -21,6 +21,7 @@ splat = tg4mm.read_splat(sys.argv[1])
 capture = tg4mm.load_capture(sys.argv[2])
 print(len(splat), len(capture), tg4mm.load_images(capture).rgb(0).shape)
 """
+MOTION = ["spectrum", "sinusoidal", "pcg", "observations", "linear_fit", "uncertainty", "split_half"]
 
 
 def run(*command, cwd):
@@ -135,9 +136,6 @@ def test_what_the_core_needs_is_to_be_had(version, built, tmp_path):
     found = install(folder, "--dry-run", "--only-binary", "torch", f"{built[1]}[core]").lower()
     for name in ("torch", "numba", "llvmlite", "imageio-ffmpeg", "markupsafe"):
         assert f" {name}-" in found
-
-
-MOTION = ["spectrum", "sinusoidal", "pcg", "observations", "linear_fit", "uncertainty", "split_half"]
 
 
 def test_the_core_trains_in_a_clean_environment(built, data, tmp_path, repo_root):

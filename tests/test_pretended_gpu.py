@@ -57,6 +57,20 @@ _WAITS = (
 _BY_INDEX = (_aten.index.Tensor, _aten.index_put_.default)  # by a mask they wait, too
 # Others take a number of the CPU's.
 _WITHOUT_SCALARS = (_aten.cat.default, _aten.stack.default, _aten.copy_.default)
+FIRST = 1e-4  # of the largest gradient, at the first step
+LATER = 1e-3  # the same at later steps, whose parameters have gone apart already
+MOVED = 1e-2  # of the largest change of a parameter
+# Rounding of a gradient is up to 3e-5 of its tensor's largest entry: 3e-3 of an entry of this share of it.
+FLOOR = 1e-2
+LEAST = 0.05  # of a tensor's entries must be compared: a comparison of nothing would hold
+
+SHORT = SpaceConfig(iterations=12, max_gaussians=500, init_points=300, dssim=0.2)
+# Small rates: Adam's first steps are as long for a gradient of rounding as for any other, and later gradients tell.
+PAPER = PaperConfig(
+    channels=4, resolution=32, iterations=12, warm_up=6, motion_iterations=10, shared=True,
+    learning_rate=1e-5, motion_learning_rate=1e-5,
+)  # fmt: skip
+FEW = MotionConfig(components=2, iterations=4, tolerance=1e-6)
 
 
 @cache
@@ -200,14 +214,6 @@ def pretended_gpu(monkeypatch: pytest.MonkeyPatch, harmonics: Callable[..., Tens
         yield gpu
 
 
-FIRST = 1e-4  # of the largest gradient, at the first step
-LATER = 1e-3  # the same at later steps, whose parameters have gone apart already
-MOVED = 1e-2  # of the largest change of a parameter
-# Rounding of a gradient is up to 3e-5 of its tensor's largest entry: 3e-3 of an entry of this share of it.
-FLOOR = 1e-2
-LEAST = 0.05  # of a tensor's entries must be compared: a comparison of nothing would hold
-
-
 @dataclass
 class Steps:
     """What each step left, by parameter; tensors stay on their device, so that nothing crosses for being watched."""
@@ -294,15 +300,6 @@ def assert_same_steps(found: Steps, expected: Steps) -> None:
         assert sure.double().mean() > LEAST, f"{name}: too many gradients hang on rounding"
         moved, wanted = ((steps.end[name] - steps.start[name]).cpu() for steps in (found, expected))
         assert_close(f"change of {name}", moved * sure, wanted * sure, MOVED)
-
-
-SHORT = SpaceConfig(iterations=12, max_gaussians=500, init_points=300, dssim=0.2)
-# Small rates: Adam's first steps are as long for a gradient of rounding as for any other, and later gradients tell.
-PAPER = PaperConfig(
-    channels=4, resolution=32, iterations=12, warm_up=6, motion_iterations=10, shared=True,
-    learning_rate=1e-5, motion_learning_rate=1e-5,
-)  # fmt: skip
-FEW = MotionConfig(components=2, iterations=4, tolerance=1e-6)
 
 
 register()  # while tests are collected: before any backward pass

@@ -15,6 +15,15 @@ import yaml
 
 from tg4mm import __version__
 
+SCHEMAS = {
+    ".github/workflows/*.yml": "vendor.github-workflows",
+    ".github/ISSUE_TEMPLATE/[!c]*.yml": "vendor.github-issue-forms",
+    ".github/ISSUE_TEMPLATE/capture.yml": "vendor.github-issue-forms",
+    ".github/ISSUE_TEMPLATE/config.yml": "vendor.github-issue-config",
+    "CITATION.cff": "vendor.citation-file-format",
+}
+ELSEWHERE = {"vqa.py", "test_video.py"}  # of another program
+
 
 @pytest.fixture(scope="module")
 def project(repo_root):
@@ -25,15 +34,6 @@ def test_the_citation_is_of_this_version(repo_root, project):
     citation = yaml.safe_load((repo_root / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["version"] == project["version"] == __version__
     assert citation["license"] == project["license"]
-
-
-SCHEMAS = {
-    ".github/workflows/*.yml": "vendor.github-workflows",
-    ".github/ISSUE_TEMPLATE/[!c]*.yml": "vendor.github-issue-forms",
-    ".github/ISSUE_TEMPLATE/capture.yml": "vendor.github-issue-forms",
-    ".github/ISSUE_TEMPLATE/config.yml": "vendor.github-issue-config",
-    "CITATION.cff": "vendor.citation-file-format",
-}
 
 
 def checked(schema, *files):
@@ -67,9 +67,6 @@ def test_a_release_gives_the_readme_whole_addresses(repo_root, tmp_path):
     urls = tomllib.loads((tmp_path / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]
     assert urls["Repository"] == home
     assert len(urls) == 4
-
-
-ELSEWHERE = {"vqa.py", "test_video.py"}  # of another program
 
 
 def docstrings(source):

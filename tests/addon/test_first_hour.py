@@ -19,6 +19,8 @@ from mathutils import Vector  # noqa: E402
 
 from tests.addon.playing import drawn_whole, import_splat, places, setter  # noqa: E402
 
+UPS = {"Z": (0.0, 0.0, 1.0), "MINUS_Y": (0.0, -1.0, 0.0), "PLUS_Y": (0.0, 1.0, 0.0)}
+
 
 @pytest.fixture
 def cube(extension):
@@ -50,9 +52,6 @@ def test_a_cube_that_is_someones_own_stays(extension, splat_path, cube, touched)
     obj = import_splat(splat_path, show=False)
     obj.location.x = 100.0 if touched == "apart" else 0.0
     assert shown(extension.panels.framing.show(bpy.context, [obj]), cube)
-
-
-UPS = {"Z": (0.0, 0.0, 1.0), "MINUS_Y": (0.0, -1.0, 0.0), "PLUS_Y": (0.0, 1.0, 0.0)}
 
 
 def colmap_camera(up):

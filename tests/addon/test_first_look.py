@@ -13,6 +13,8 @@ bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[gen
 
 from tests.addon.playing import evaluated, import_splat, read, setter, shown_colours  # noqa: E402  # noqa: E402
 
+NATIVE = hasattr(bpy.types, "GeometryNodePointsSetType")
+
 
 def test_splats_blend_as_trained_on_demand_and_newcomers_with_them(extension, splat_path):
     """All splats of a scene have one way to blend, and the view transform is that which it needs."""
@@ -93,7 +95,6 @@ def test_the_time_never_passes_the_recordings_length(extension, splat_path):
         assert any("the recording: motion continues" in line for line in said) == outside
 
 
-NATIVE = hasattr(bpy.types, "GeometryNodePointsSetType")
 needs_native = pytest.mark.skipif(not NATIVE, reason="this Blender has no splats of its own")
 
 

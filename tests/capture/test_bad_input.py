@@ -16,6 +16,8 @@ from plyfile import PlyData, PlyElement
 from tests.capture.conftest import edit, refused
 from tg4mm.capture import load_capture, load_images
 
+XYZ = [("x", "f4"), ("y", "f4"), ("z", "f4")]
+
 
 def test_what_is_no_dataset(tmp_path):
     refused(tmp_path / "nowhere", "nowhere", "does not exist")
@@ -229,9 +231,6 @@ def test_an_image_that_vanishes_or_changes_size_before_it_is_decoded(folder):
 
 def ply(path, data, element="vertex"):
     PlyData([PlyElement.describe(data, element)]).write(str(path))
-
-
-XYZ = [("x", "f4"), ("y", "f4"), ("z", "f4")]
 
 
 def test_bad_points(folder):

@@ -16,6 +16,31 @@ from tg4mm.core.untrusted import JsonRecord
 quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 0.1)
 offsets = st.tuples(*[st.floats(-10, 10)] * 3)
 angles = st.floats(0.05, 3.0)
+BLENDER = """
+import json, random, sys
+import bpy
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Euler, Vector
+random.seed(0)
+scene = bpy.context.scene
+scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 64, 48, 100
+camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+scene.collection.objects.link(camera)
+out = []
+for _ in range(20):
+    camera.location = [random.uniform(-3, 3) for _ in range(3)]
+    camera.rotation_euler = Euler([random.uniform(-3, 3) for _ in range(3)])
+    camera.data.angle_x = random.uniform(0.3, 1.5)
+    bpy.context.view_layer.update()
+    local = Vector((random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-9, -1)))
+    point = camera.matrix_world @ local
+    x, y, depth = world_to_camera_view(scene, camera, point)
+    out.append({
+        "transform_matrix": [list(row) for row in camera.matrix_world], "camera_angle_x": camera.data.angle_x,
+        "point": list(point), "pixel": [64 * x, 48 * (1 - y)], "depth": depth,
+    })
+print("RESULT" + json.dumps(out))
+"""
 
 
 def rotation(q):
@@ -67,33 +92,6 @@ def test_a_pose_written_with_few_decimals_is_read_as_the_nearest_rigid_one(q, or
     np.testing.assert_allclose(read[:3, :3].T @ read[:3, :3], np.eye(3), atol=1e-14)
     np.testing.assert_allclose(read[:3, :3], c2w[:3, :3], atol=2 * 10.0**-decimals)
     np.testing.assert_array_equal(read[:3, 3], written[:3, 3])
-
-
-BLENDER = """
-import json, random, sys
-import bpy
-from bpy_extras.object_utils import world_to_camera_view
-from mathutils import Euler, Vector
-random.seed(0)
-scene = bpy.context.scene
-scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 64, 48, 100
-camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-scene.collection.objects.link(camera)
-out = []
-for _ in range(20):
-    camera.location = [random.uniform(-3, 3) for _ in range(3)]
-    camera.rotation_euler = Euler([random.uniform(-3, 3) for _ in range(3)])
-    camera.data.angle_x = random.uniform(0.3, 1.5)
-    bpy.context.view_layer.update()
-    local = Vector((random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-9, -1)))
-    point = camera.matrix_world @ local
-    x, y, depth = world_to_camera_view(scene, camera, point)
-    out.append({
-        "transform_matrix": [list(row) for row in camera.matrix_world], "camera_angle_x": camera.data.angle_x,
-        "point": list(point), "pixel": [64 * x, 48 * (1 - y)], "depth": depth,
-    })
-print("RESULT" + json.dumps(out))
-"""
 
 
 @pytest.mark.slow

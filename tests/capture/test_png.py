@@ -14,6 +14,7 @@ from tg4mm.core.pictures.decode import decode
 
 TYPES = {0: 1, 4: 2, 2: 3, 6: 4}  # colour type → channels
 FILTERS = st.lists(st.integers(0, 4), min_size=1, max_size=9)
+PIXELS = np.arange(24, dtype=np.uint16).reshape(2, 3, 4) * 999
 
 
 def predict(kind, left, up, corner):
@@ -94,9 +95,6 @@ def test_files_written_by_ffmpeg(tmp_path, pixel_format, prediction):
     data = pixels.astype(">u2").tobytes()
     subprocess.run([ffmpeg, "-v", "error", *source, *target], input=data, check=True)
     np.testing.assert_array_equal(decode(path), as_rgba(pixels))
-
-
-PIXELS = np.arange(24, dtype=np.uint16).reshape(2, 3, 4) * 999
 
 
 @pytest.mark.parametrize(

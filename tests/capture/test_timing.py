@@ -20,6 +20,28 @@ from tg4mm.core.errors import CaptureError
 from tg4mm.core.magnification import check_band
 from tg4mm.run.train import _capture
 
+STEPS = list(range(20))
+KINDS_OF_CAMERAS = [  # timesteps of each camera, timesteps in all
+    ({0: [0], 1: [0]}, 1, "photos"),
+    ({0: STEPS, 1: [0], 2: [0]}, 20, "tripod"),
+    ({0: STEPS, 1: STEPS}, 20, "rig"),
+    ({t: [t] for t in STEPS}, 20, "handheld"),
+    ({0: STEPS, 1: STEPS[:19]}, 20, "rig"),  # a camera that misses one of many stayed
+    ({0: STEPS, 1: STEPS[:10]}, 20, "tripod"),
+]
+
+STEP = 1 / 30
+DROPPED = np.array([0, 1, 2, 3, 5, 6, 7, 8, 11, 12]) * STEP
+AGREE = {  # times, timesteps, cameras, frames per second
+    "dropped frames": (DROPPED, np.arange(10), "a" * 10, 30.0),
+    "NTSC and its rounding": (np.arange(30) * 1001 / 30000, np.arange(30), "a" * 30, 29.97),
+    "every tenth timestep": (np.arange(4) * 10 * STEP, np.arange(4) * 10, "a" * 4, 30.0),
+    "clocks of their own": (
+        np.concatenate([np.arange(5) * STEP, 100 + np.arange(5) * STEP]), np.tile(np.arange(5), 2),
+        "a" * 5 + "b" * 5, 30.0,
+    ),
+}  # fmt: skip
+
 
 def of_cameras(cameras, n_timesteps):
     """The kind of a capture in which each camera has pictures at these timesteps."""
@@ -38,17 +60,6 @@ def retime(tree, times, split="train"):
             if time_s is not None:
                 frame["time"] = time_s
         path.write_text(json.dumps(values))
-
-
-STEPS = list(range(20))
-KINDS_OF_CAMERAS = [  # timesteps of each camera, timesteps in all
-    ({0: [0], 1: [0]}, 1, "photos"),
-    ({0: STEPS, 1: [0], 2: [0]}, 20, "tripod"),
-    ({0: STEPS, 1: STEPS}, 20, "rig"),
-    ({t: [t] for t in STEPS}, 20, "handheld"),
-    ({0: STEPS, 1: STEPS[:19]}, 20, "rig"),  # a camera that misses one of many stayed
-    ({0: STEPS, 1: STEPS[:10]}, 20, "tripod"),
-]
 
 
 class TestKind:
@@ -116,19 +127,6 @@ class TestTimes:
     def test_a_lone_timestep_with_a_late_time_is_none_of_our_business(self, folder):
         (folder / "scene.json").write_text('{"fps": 12}')
         assert load_capture(folder).times_s.tolist() == [0.0, 0.0]
-
-
-STEP = 1 / 30
-DROPPED = np.array([0, 1, 2, 3, 5, 6, 7, 8, 11, 12]) * STEP
-AGREE = {  # times, timesteps, cameras, frames per second
-    "dropped frames": (DROPPED, np.arange(10), "a" * 10, 30.0),
-    "NTSC and its rounding": (np.arange(30) * 1001 / 30000, np.arange(30), "a" * 30, 29.97),
-    "every tenth timestep": (np.arange(4) * 10 * STEP, np.arange(4) * 10, "a" * 4, 30.0),
-    "clocks of their own": (
-        np.concatenate([np.arange(5) * STEP, 100 + np.arange(5) * STEP]), np.tile(np.arange(5), 2),
-        "a" * 5 + "b" * 5, 30.0,
-    ),
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("what", AGREE)

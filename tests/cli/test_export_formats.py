@@ -13,6 +13,7 @@ from tg4mm.run import Run
 from tg4mm.show.export.splat import splat_of
 
 N_TIMESTEPS = 12
+TO_MOVE = "ply-sequence, spz, usd, gltf"
 
 
 def made(root, n_timesteps=N_TIMESTEPS, freqs=(5.0,)):
@@ -85,9 +86,6 @@ def test_a_run_without_motion_is_exported_at_rest(run, tmp_path, capsys):
     capsys.readouterr()
     assert export(still, tmp_path / "b.glb", "gltf", "--alpha", "3") == 2
     assert "has no motion: only --alpha 0" in capsys.readouterr().err
-
-
-TO_MOVE = "ply-sequence, spz, usd, gltf"
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,29 @@ from tg4mm.capture import load_capture
 # From transforms_train.json and transforms_test.json there: position of the camera, as written.
 TRAIN_29 = (1.14926028, 2.58125353, 2.87512302)
 TEST_8 = (2.96205878, -2.39862895, 1.31254947)
+SHEARED = np.eye(4) + np.array([[0, 0.2, 0, 0], [0] * 4, [0] * 4, [0] * 4])
+OFF = CameraSetup("rig", views=6, clock_offset_s=0.4)
+LATER = CameraSetup("clips", views=7, n_timesteps=75)
+
+RIG = CameraSetup("rig", views=9, test_views=3)
+SWEEP = CameraSetup("sweep", views=12, test_views=3)
+CLIPS = CameraSetup("clips", views=5, test_views=3)
+FLAT = CameraSetup("flat")
+HELD = CameraSetup("handheld", test_views=4, n_timesteps=120, fps=30.0, seed=5)
+SOME_CAMERAS = tuple(camera.numbered(i) for i, camera in enumerate(train_cameras(9)[4:7]))
+GIVEN = CameraSetup("given", test_views=0, given=SOME_CAMERAS)
+EVERY = (CameraSetup(), RIG, SWEEP, HELD, CLIPS, FLAT, GIVEN)
+
+SETUPS = (
+    CameraSetup("rig", views=9),
+    CameraSetup("sweep", views=9),
+    CameraSetup("handheld", n_timesteps=48, fps=24.0),
+    CameraSetup("clips", views=5),
+    CameraSetup("flat"),
+)
+ALPHA = 100  # the largest of the presets
+MARGIN = 0.97  # of the half width; cameras stand so that the points that they were placed by are within 0.96
+SOME = [name if name == "mic" else pytest.param(name, marks=pytest.mark.slow) for name in NAMES]
 
 
 def test_known_positions_of_the_published_set():
@@ -73,9 +96,6 @@ def test_scaled_poses_of_a_users_scene_become_rigid():
     assert (camera.index, camera.angle_x, camera.shift) == (0, 0.7, (0.1, 0.0))
 
 
-SHEARED = np.eye(4) + np.array([[0, 0.2, 0, 0], [0] * 4, [0] * 4, [0] * 4])
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -92,10 +112,6 @@ SHEARED = np.eye(4) + np.array([[0, 0.2, 0, 0], [0] * 4, [0] * 4, [0] * 4])
 def test_unusable_cameras_are_refused(make, message):
     with pytest.raises(GenerateError, match=message):
         make()
-
-
-OFF = CameraSetup("rig", views=6, clock_offset_s=0.4)
-LATER = CameraSetup("clips", views=7, n_timesteps=75)
 
 
 def test_clocks_are_off_by_up_to_what_was_asked_and_the_first_is_the_scenes():
@@ -118,16 +134,6 @@ def test_clips_follow_one_another_with_pauses():
     assert gaps.min() >= 75 / 30 + 2.0 - 1e-6
     assert gaps.max() <= 75 / 30 + 10.0 + 1e-6
     assert len(set((starts * 3.4 % 1.0).round(3))) == 7  # each its own phase
-
-
-RIG = CameraSetup("rig", views=9, test_views=3)
-SWEEP = CameraSetup("sweep", views=12, test_views=3)
-CLIPS = CameraSetup("clips", views=5, test_views=3)
-FLAT = CameraSetup("flat")
-HELD = CameraSetup("handheld", test_views=4, n_timesteps=120, fps=30.0, seed=5)
-SOME_CAMERAS = tuple(camera.numbered(i) for i, camera in enumerate(train_cameras(9)[4:7]))
-GIVEN = CameraSetup("given", test_views=0, given=SOME_CAMERAS)
-EVERY = (CameraSetup(), RIG, SWEEP, HELD, CLIPS, FLAT, GIVEN)
 
 
 @pytest.mark.parametrize("setup", EVERY, ids=lambda s: s.kind)
@@ -233,23 +239,9 @@ def test_unusable_setups_are_refused(changes, message):
         CameraSetup(**changes)
 
 
-SETUPS = (
-    CameraSetup("rig", views=9),
-    CameraSetup("sweep", views=9),
-    CameraSetup("handheld", n_timesteps=48, fps=24.0),
-    CameraSetup("clips", views=5),
-    CameraSetup("flat"),
-)
-ALPHA = 100  # the largest of the presets
-MARGIN = 0.97  # of the half width; cameras stand so that the points that they were placed by are within 0.96
-
-
 def settings_of(name, cameras):
     motion = read_motion(motion_file(name))
     return Settings(name, motion=motion, cameras=cameras, alphas=(ALPHA,), size=128, samples=1, truth="none")
-
-
-SOME = [name if name == "mic" else pytest.param(name, marks=pytest.mark.slow) for name in NAMES]
 
 
 @lru_cache(maxsize=1)

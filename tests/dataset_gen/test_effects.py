@@ -13,6 +13,10 @@ av = pytest.importorskip("av")
 
 from dataset_gen.effects.codec import decode, encode  # noqa: E402
 
+CAMERA = cameras_at(CameraSetup("rig", views=5), 0)["train"][3]
+SIZE = 128
+CODED = 64
+
 
 def rng(seed=0):
     return np.random.default_rng(seed)
@@ -51,10 +55,6 @@ def test_flicker_is_mains_light_sampled_by_the_frame_rate():
     np.testing.assert_allclose(
         flicker_gains(2.0, 100.0, np.arange(120) / 25.0, 0.4), gains[0]
     )  # 100 = 4 · 25
-
-
-CAMERA = cameras_at(CameraSetup("rig", views=5), 0)["train"][3]
-SIZE = 128
 
 
 @pytest.mark.parametrize("fps", [30.0, 240.0])
@@ -98,9 +98,6 @@ def test_a_warped_rendering_is_what_the_turned_camera_sees():
     assert rms(grey(record.frame(fine, camera, size, margin, vector)) - direct) < 1.3 * noise
     assert rms(grey(record.frame(fine, camera, size, margin, 0 * vector)) - direct) > 8 * noise
     assert rms(grey(record.frame(fine, camera, size, margin, -vector)) - direct) > 12 * noise
-
-
-CODED = 64
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,43 @@ from dataset_gen.options import parser, request_from
 from tests.helpers.snakemake_program import FARM, check_plugins, snakemake
 
 SMALL = {"out": "data", "python": "py", "sets": {"mic": None}}
+ROOT = FARM.parent.parent
+
+# Keeps to the generator's own command line and its files, renders nothing. A file `fail` makes the part it names fail.
+STAND_IN = """#!{python}
+import os, runpy, shutil, sys
+sys.path.insert(0, {root!r})
+from pathlib import Path
+if sys.argv[2] != "dataset_gen":
+    sys.argv = sys.argv[2:]
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+    sys.exit()
+from dataset_gen.options import parser, request_from
+request = request_from(parser().parse_args(sys.argv[3:]))
+root = request.out / request.sets[0].folder
+what = "prepare" if request.prepare else "finish" if request.finish else "%d/%d" % request.part
+with open({log!r}, "a") as log:
+    log.write(root.name + " " + what + "\\n")
+if request.prepare:
+    if root.exists() and any(root.iterdir()) and not (root / "scene.json").exists():
+        sys.exit("not empty and holds no scene.json")
+    (root / ".parts").mkdir(parents=True, exist_ok=True)
+    (root / "scene.json").write_text("{{}}")
+    (root / ".parts/parts.json").write_text("{{}}")
+elif request.part:
+    if not (root / "scene.json").exists():
+        sys.exit("not prepared")
+    fail = Path({fail!r})
+    if fail.exists() and fail.read_text() == what:
+        sys.exit("this part fails")
+    (root / ".parts" / (what.replace("/", "_of_") + ".done")).touch()
+else:
+    if len(list(root.glob(".parts/*.done"))) != 3:
+        sys.exit("not all parts are done")
+    shutil.rmtree(root / ".parts")
+    (root / "report").mkdir(exist_ok=True)
+    (root / "report/index.html").write_text("done")
+"""
 
 
 def test_every_command_is_one_that_the_generator_understands():
@@ -79,45 +116,6 @@ def test_the_module_prints_what_a_shell_can_run(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", io.StringIO("[]"))
     assert main() == 2
     assert capsys.readouterr().err == "error: configuration is [], expected an object\n"
-
-
-ROOT = FARM.parent.parent
-
-# Keeps to the generator's own command line and its files, renders nothing. A file `fail` makes the part it names fail.
-STAND_IN = """#!{python}
-import os, runpy, shutil, sys
-sys.path.insert(0, {root!r})
-from pathlib import Path
-if sys.argv[2] != "dataset_gen":
-    sys.argv = sys.argv[2:]
-    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
-    sys.exit()
-from dataset_gen.options import parser, request_from
-request = request_from(parser().parse_args(sys.argv[3:]))
-root = request.out / request.sets[0].folder
-what = "prepare" if request.prepare else "finish" if request.finish else "%d/%d" % request.part
-with open({log!r}, "a") as log:
-    log.write(root.name + " " + what + "\\n")
-if request.prepare:
-    if root.exists() and any(root.iterdir()) and not (root / "scene.json").exists():
-        sys.exit("not empty and holds no scene.json")
-    (root / ".parts").mkdir(parents=True, exist_ok=True)
-    (root / "scene.json").write_text("{{}}")
-    (root / ".parts/parts.json").write_text("{{}}")
-elif request.part:
-    if not (root / "scene.json").exists():
-        sys.exit("not prepared")
-    fail = Path({fail!r})
-    if fail.exists() and fail.read_text() == what:
-        sys.exit("this part fails")
-    (root / ".parts" / (what.replace("/", "_of_") + ".done")).touch()
-else:
-    if len(list(root.glob(".parts/*.done"))) != 3:
-        sys.exit("not all parts are done")
-    shutil.rmtree(root / ".parts")
-    (root / "report").mkdir(exist_ok=True)
-    (root / "report/index.html").write_text("done")
-"""
 
 
 class Farm:

@@ -11,16 +11,6 @@ from dataset_gen.__main__ import main
 from dataset_gen.options import parser, request_from
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def request(*arguments):
-    return request_from(parser().parse_args([*arguments, "--out", "x"]))
-
-
-def settings(*arguments):
-    return request(*arguments).sets[0]
-
-
 REFUSED = {
     "violin": r"scene 'violin' is not one of chair, .*, ship, all",
     "": r"give either SCENE, --blend or --mesh; none of them given",
@@ -84,6 +74,29 @@ REFUSED = {
     "mic --cameras clips --clock-offsets 1": r"--clock-offsets 1: with --cameras clips no two cameras",
 }  # fmt: skip
 
+FOLDERS = {
+    "mic": "mic_5Hz_0_005", "mic --frequency 2.5 --amplitude 0.01": "mic_2_5Hz_0_01",
+    "mic --amplitude 0.00002": "mic_5Hz_0_00002", "mic --amplitude 2 --fps 240 --frequency 100": "mic_100Hz_2",
+    "mic --amplitude-px 0.2": "mic_5Hz_0_2px",
+}  # fmt: skip
+
+TIMESTEPS = {
+    "ficus --preset smoke": 10,  # 3 Hz: six timesteps are six tenths of a period
+    "mic --preset smoke": 6,  # 5 Hz
+    "mic --preset smoke --frequency 4": 8,  # 15 hold whole periods, 7.5 one
+    "mic --preset smoke --frequency 0.7": 43,  # a period at any rate
+    "ficus": 30, "mic --frequency 4": 30, "ficus --fps 24": 32,
+    "ficus --preset smoke --timesteps 6": 6,  # as requested
+}  # fmt: skip
+
+
+def request(*arguments):
+    return request_from(parser().parse_args([*arguments, "--out", "x"]))
+
+
+def settings(*arguments):
+    return request(*arguments).sets[0]
+
 
 @pytest.mark.parametrize("arguments", REFUSED)
 def test_bad_input_is_one_line_and_exit_2(arguments, tmp_path, capsys):
@@ -133,13 +146,6 @@ def test_a_foreign_folder_is_refused_and_stays(tmp_path, capsys, file, content, 
     assert (tmp_path / file).read_text() == content
 
 
-FOLDERS = {
-    "mic": "mic_5Hz_0_005", "mic --frequency 2.5 --amplitude 0.01": "mic_2_5Hz_0_01",
-    "mic --amplitude 0.00002": "mic_5Hz_0_00002", "mic --amplitude 2 --fps 240 --frequency 100": "mic_100Hz_2",
-    "mic --amplitude-px 0.2": "mic_5Hz_0_2px",
-}  # fmt: skip
-
-
 @pytest.mark.parametrize("arguments", FOLDERS)
 def test_folder_name(arguments):
     assert settings(*arguments.split()).folder == FOLDERS[arguments]
@@ -165,16 +171,6 @@ def test_a_signal_handler_that_the_host_set_does_not_end_it(monkeypatch, capsys)
     monkeypatch.setattr("dataset_gen.__main__.signal.signal", set_handler)
     assert main(["violin", "--out", "x"]) == 2
     assert "scene 'violin'" in capsys.readouterr().err
-
-
-TIMESTEPS = {
-    "ficus --preset smoke": 10,  # 3 Hz: six timesteps are six tenths of a period
-    "mic --preset smoke": 6,  # 5 Hz
-    "mic --preset smoke --frequency 4": 8,  # 15 hold whole periods, 7.5 one
-    "mic --preset smoke --frequency 0.7": 43,  # a period at any rate
-    "ficus": 30, "mic --frequency 4": 30, "ficus --fps 24": 32,
-    "ficus --preset smoke --timesteps 6": 6,  # as requested
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("arguments", TIMESTEPS)

@@ -23,6 +23,7 @@ from tg4mm.core.files import _HOST
 from tg4mm.core.pictures import png
 
 TINY_OPTIONS = "--size 32 --timesteps 6 --test-views 1 --alphas 5 --samples 2 --points 300"
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def tiny(*more):
@@ -32,7 +33,6 @@ def tiny(*more):
 
 
 TINY = tiny()
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,11 @@ from dataset_gen.shapes import drums, solids
 from dataset_gen.shapes.sheet import Outline, frames_on, moulding, puff, rounded, sheet
 from tests.dataset_gen.builtin import open_edges, volume
 
+PATH = np.column_stack([np.zeros(9), np.zeros(9), np.linspace(0.0, 3.0, 9)])
+ROUND = m.circle(1.0, 400)
+ARC = np.column_stack([np.cos(turn := np.linspace(0.5, 2.0, 200)), np.sin(turn)])
+RIM = Outline(1.0, 1.0, 2.0).rim(300)
+
 
 def test_a_sheet_round_an_axis_is_a_sphere():
     height = np.linspace(-np.pi / 2, np.pi / 2, 60)[:, None]
@@ -26,12 +31,6 @@ def _ellipsoid(count=81):
     x, share = Outline(2.0, 1.0, 2.0).disc(count)
     middle = np.dstack([x, 0.0 * share])
     return middle, 0.5 * rounded(share, 2.0), 0.3 * rounded(share, 2.0)
-
-
-PATH = np.column_stack([np.zeros(9), np.zeros(9), np.linspace(0.0, 3.0, 9)])
-ROUND = m.circle(1.0, 400)
-ARC = np.column_stack([np.cos(turn := np.linspace(0.5, 2.0, 200)), np.sin(turn)])
-RIM = Outline(1.0, 1.0, 2.0).rim(300)
 
 
 def _torus(path):

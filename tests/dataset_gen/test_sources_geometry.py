@@ -30,6 +30,8 @@ from tests.dataset_gen.sources_blends import (  # noqa: E402
 )
 
 ODD = Matrix.LocRotScale((1.0, -2.0, 0.5), Matrix.Rotation(0.7, 3, "X"), (0.5, 2.0, 1.5))
+PLACE = Matrix.LocRotScale((10.0, -20.0, 5.0), Matrix.Rotation(0.6, 3, "Z"), (2.0, 2.0, 2.0))
+CORNERS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)], float)
 
 
 def face_normals(body):
@@ -183,10 +185,6 @@ def test_hair_curves_and_particle_hair_become_tubes(tmp_path):
     assert len(grass.vertices) % (7 * 4) == 0
     assert np.abs(grass.vertices[:, 0] - 5).max() < 1.1
     assert 1.5 < grass.vertices[:, 2].max() < 2.5
-
-
-PLACE = Matrix.LocRotScale((10.0, -20.0, 5.0), Matrix.Rotation(0.6, 3, "Z"), (2.0, 2.0, 2.0))
-CORNERS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)], float)
 
 
 def world_corners():

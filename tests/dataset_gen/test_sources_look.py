@@ -25,6 +25,8 @@ from tests.dataset_gen.sources_blends import (  # noqa: E402
 )
 
 POSE = view_from((3.2, 2.8, 2.5), (0.4, 0.2, 0.6))
+FIVE = bpy.app.version >= (5, 0, 0)
+TURNED = Matrix.LocRotScale((0.2, -0.3, 0.1), Matrix.Rotation(0.7, 3, "X"), (0.8, 1.2, 0.6))
 
 
 def test_lights_stay_where_they_are_and_what_they_are(tmp_path):
@@ -120,9 +122,6 @@ def test_all_cameras_are_found_and_see_what_they_saw(tmp_path):
     assert loaded.stage.scene.camera == loaded.stage.camera
 
 
-FIVE = bpy.app.version >= (5, 0, 0)
-
-
 def test_a_missing_environment_becomes_a_grey_sky_and_missing_textures_plain_grey(tmp_path):
     scene = new_scene()
     mesh = tetrahedron()
@@ -206,9 +205,6 @@ def test_materials_and_worlds_without_nodes_look_like_their_viewport_colour(tmp_
     assert np.allclose(background[:3], (0.1, 0.2, 0.9))
     assert not any("sky" in line for line in loaded.warnings)
     assert picture[..., 2].max() > 2 * picture[..., 0].max() > 0
-
-
-TURNED = Matrix.LocRotScale((0.2, -0.3, 0.1), Matrix.Rotation(0.7, 3, "X"), (0.8, 1.2, 0.6))
 
 
 def noise_of(tree, vector=None):

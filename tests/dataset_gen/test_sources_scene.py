@@ -27,6 +27,10 @@ from tests.dataset_gen.sources_blends import (  # noqa: E402
     view_from,
 )
 
+ODD = Matrix.LocRotScale((1.0, -2.0, 0.5), Matrix.Rotation(0.7, 3, "X"), (0.5, 2.0, 1.5))
+POSE = view_from((3.2, 2.8, 2.5), (0.4, 0.2, 0.6))
+FIVE = bpy.app.version >= (5, 0, 0)
+
 
 def plain(tree):
     """A colour for `emission`."""
@@ -109,9 +113,6 @@ def test_opening_is_the_same_in_every_process(tmp_path):
         digests.append([line for line in said.splitlines() if line.startswith("digest")])
     assert digests[0]
     assert digests[0] == digests[1]
-
-
-ODD = Matrix.LocRotScale((1.0, -2.0, 0.5), Matrix.Rotation(0.7, 3, "X"), (0.5, 2.0, 1.5))
 
 
 def test_instances_of_collections_and_of_faces_are_realised(tmp_path):
@@ -240,10 +241,6 @@ def test_what_the_camera_does_not_see_lights_but_is_no_part(tmp_path):
     assert "catcher" not in loaded.stage.scene.objects
     assert any("shadow catcher or holdout: catcher" in line for line in loaded.warnings)
     assert loaded.radius < 3
-
-
-POSE = view_from((3.2, 2.8, 2.5), (0.4, 0.2, 0.6))
-FIVE = bpy.app.version >= (5, 0, 0)
 
 
 def compositor_that_blackens(scene):

@@ -28,6 +28,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 NOW = 1  # timestep of the checks: nothing is at rest there
 OPTIONS = ["--preset", "smoke", "--timesteps", "3", "--alphas", "50"]  # and no more than the checks look at
+REACH = 2e-2  # scene units: triangles farther from a point, as the tree sees it, are not looked at
 
 
 @dataclass
@@ -154,9 +155,6 @@ def _flow_to_next(world, states, path):
             if match := re.search(r"(?:^|\.)Vector\.([A-Z])$", name):
                 found[match.group(1)] = channel.pixels
     return np.stack([-found["Z"], found["W"]], -1)  # now − next, y up
-
-
-REACH = 2e-2  # scene units: triangles farther from a point, as the tree sees it, are not looked at
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,20 @@ WAVE = {
 }  # fmt: skip
 DRIFT = {"name": "drift", "kind": "drift", "rate": 0.03, "direction": [0, 1, 0], "magnified": False}
 HUM = {"name": "hum", "kind": "translate", "frequency": 5, "amplitude": 0.002, "direction": [0, 1, 1]}
+T = 24
+MODES = {
+    "modes": [
+        {
+            "name": "sway", "kind": "bending", "frequency": 4.3, "amplitude": 0.01, "decay": 0.4,
+            "base": [0, 0, -0.3], "tip": [0, 0, 0.2], "direction": [3, 4, 0],
+        },
+        {
+            "name": "hum", "kind": "translate", "frequency": 9, "amplitude": 0.003, "direction": [0, 0, 1],
+            "magnified": False, "parts": "a", "phase": 50,
+        },
+        {"name": "sag", "kind": "drift", "rate": 0.02, "direction": [0, 1, 0], "magnified": False},
+    ]
+}  # fmt: skip
 
 
 def body(name="body", count=200, seed=0, follow=1.0, groups=None):
@@ -156,21 +170,6 @@ def test_what_does_not_fit_the_bodies_is_one_line(mode, message):
 
 
 # The file of the truth.
-
-T = 24
-MODES = {
-    "modes": [
-        {
-            "name": "sway", "kind": "bending", "frequency": 4.3, "amplitude": 0.01, "decay": 0.4,
-            "base": [0, 0, -0.3], "tip": [0, 0, 0.2], "direction": [3, 4, 0],
-        },
-        {
-            "name": "hum", "kind": "translate", "frequency": 9, "amplitude": 0.003, "direction": [0, 0, 1],
-            "magnified": False, "parts": "a", "phase": 50,
-        },
-        {"name": "sag", "kind": "drift", "rate": 0.02, "direction": [0, 1, 0], "magnified": False},
-    ]
-}  # fmt: skip
 
 
 def bodies():

@@ -36,6 +36,13 @@ from tg4mm.core.files import is_temporary
 
 OFTEN_S = 0.1  # between checkpoints, so that there are some in a training of seconds
 _REPLACE = os.replace
+TRAIN = "train F/set --out F/out --set space.max_gaussians=300 --set "
+BENCH = " --set ".join(
+    ("", "space.iterations=60", "space.max_gaussians=300", "motion.iterations=4", "motion.components=2")
+)
+PAPER = "channels=2 resolution=16 iterations=80 warm_up=40 motion_iterations=20".replace(" ", " --set paper.")
+GENERATE = "--size 16 --samples 1 --timesteps 3 --views 3 --test-views 1 --alphas 5 --truth none --points 0"
+STAGES = ("out/*.safetensors", "out/*.json")
 
 
 @dataclass(frozen=True)
@@ -90,13 +97,6 @@ def _photographs(folder):
         save(folder / "in" / f"p_{i}.png", shown)
 
 
-TRAIN = "train F/set --out F/out --set space.max_gaussians=300 --set "
-BENCH = " --set ".join(
-    ("", "space.iterations=60", "space.max_gaussians=300", "motion.iterations=4", "motion.components=2")
-)
-PAPER = "channels=2 resolution=16 iterations=80 warm_up=40 motion_iterations=20".replace(" ", " --set paper.")
-GENERATE = "--size 16 --samples 1 --timesteps 3 --views 3 --test-views 1 --alphas 5 --truth none --points 0"
-STAGES = ("out/*.safetensors", "out/*.json")
 COMMANDS = {
     "train": Command(_dataset, f"{TRAIN}space.iterations=120 --set motion.iterations=3", STAGES),
     "train-paper-tuned": Command(_dataset, f"{TRAIN}paper.{PAPER} --preset paper-tuned", STAGES),

@@ -45,6 +45,15 @@ YAML_TEXTS = (
     *("0b", "0x_", "1:99:99", "'", '"', "|", ">", "%YAML 9.9", "---", "...", "\t", "[", "{"),
     *("- ", ": ", "# ", "!", "@", "9" * 5000, "[" * 200, "{a: " * 200, "\ufeff", "\x00", "\x85", "a" * 3000),
 )  # fmt: skip
+_TYPES = (np.float16, np.float32, np.float64, np.int32, np.int64, np.uint8, np.bool_)
+_WHOLE, _REAL = (0, 1, -1, 2**31 - 1), (np.nan, np.inf, -1.0, 0.0, 1e30, -1e30, 1e-30)
+_SHAPES = (  # other shapes of an array
+    lambda a: a[:0] if a.ndim else a,
+    lambda a: a[: max(len(a) - 1, 0)] if a.ndim else a[None],
+    lambda a: a.reshape(-1),
+    lambda a: a[None],
+    lambda a: a.reshape(-1)[:1].reshape(()) if a.size else a,
+)
 
 
 def of_bytes(data, rng):
@@ -216,17 +225,6 @@ def _tensors_anew(data, rng):
         except Exception:  # what no writer can write
             return of_bytes(data, rng)
         return path.read_bytes()
-
-
-_TYPES = (np.float16, np.float32, np.float64, np.int32, np.int64, np.uint8, np.bool_)
-_WHOLE, _REAL = (0, 1, -1, 2**31 - 1), (np.nan, np.inf, -1.0, 0.0, 1e30, -1e30, 1e-30)
-_SHAPES = (  # other shapes of an array
-    lambda a: a[:0] if a.ndim else a,
-    lambda a: a[: max(len(a) - 1, 0)] if a.ndim else a[None],
-    lambda a: a.reshape(-1),
-    lambda a: a[None],
-    lambda a: a.reshape(-1)[:1].reshape(()) if a.size else a,
-)
 
 
 def _other_array(array, rng):

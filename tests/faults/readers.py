@@ -48,6 +48,27 @@ from tg4mm.show.measure.sensors import read_sensors
 from tg4mm.show.report.closing import _stage
 from tg4mm.show.report.summary import total_seconds
 
+MOTION = (Path(__file__).parents[2] / "dataset_gen" / "scenes" / "ship.yaml").read_text()
+CLAIM = {"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}}
+
+FARM = {
+    "python": "python",
+    "out": "sets",
+    "threads": 2,
+    "options": "--size 32",
+    "scenes": {"mic": "--seed 1"},
+}
+LENGTH = {"metres": 0.5, "points": [{"a": [1, 2], "b": [3, 4]}, {"a": [5, 6.5], "b": [7, 8]}]}
+SURVEY = {
+    "width": 12, "height": 8, "fps": "30000/1001", "times": ["0", "1/30", "2/30"],
+    "shifts_px": [[0, 0], [0.5, None], [1, 1]], "parts": [0, 0, -1], "frozen": [False, False, True],
+    "sharpness": [1.0, 2.0, 3.0], "together": [1.0, None, 0.5], "repeats": [], "share": "5/6", "kinds": "IBP",
+    "created_s": 1.5,
+}  # fmt: skip
+SENSORS = "sensors:\n- {name: tip, sphere: [0, 0, 1.2, 0.1]}\n- {name: wall, pixel: [cam, 32, 9, 12]}\n"
+_ROWS = "".join(f"{k / 20:.2f};{k % 3}\n" for k in range(40)).replace(".", ",")
+STATE = {"features.0.bias": torch.ones(64), "lin0.model.1.weight": torch.ones(1, 64, 1, 1)}
+
 
 def _splat(root):
     g, m = gaussians(), motion()
@@ -93,10 +114,6 @@ def _read_demo(root):
 # The generator, and reconstruction.
 
 
-MOTION = (Path(__file__).parents[2] / "dataset_gen" / "scenes" / "ship.yaml").read_text()
-CLAIM = {"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}}
-
-
 def _claim(root):
     work_folder(root / "set").claim(CLAIM)
 
@@ -105,22 +122,6 @@ def _farm(root):
     text = (root / "config.json").read_text(encoding="utf-8", errors="replace")
     with patch.multiple("sys", stdin=io.StringIO(text), stdout=io.StringIO(), stderr=io.StringIO()):
         assert sets.main() in (0, 2)
-
-
-FARM = {
-    "python": "python",
-    "out": "sets",
-    "threads": 2,
-    "options": "--size 32",
-    "scenes": {"mic": "--seed 1"},
-}
-LENGTH = {"metres": 0.5, "points": [{"a": [1, 2], "b": [3, 4]}, {"a": [5, 6.5], "b": [7, 8]}]}
-SURVEY = {
-    "width": 12, "height": 8, "fps": "30000/1001", "times": ["0", "1/30", "2/30"],
-    "shifts_px": [[0, 0], [0.5, None], [1, 1]], "parts": [0, 0, -1], "frozen": [False, False, True],
-    "sharpness": [1.0, 2.0, 3.0], "together": [1.0, None, 0.5], "repeats": [], "share": "5/6", "kinds": "IBP",
-    "created_s": 1.5,
-}  # fmt: skip
 
 
 def _read_survey(root):
@@ -182,10 +183,6 @@ def _photograph(suffix):
     return sample(f"a{suffix}", write)
 
 
-SENSORS = "sensors:\n- {name: tip, sphere: [0, 0, 1.2, 0.1]}\n- {name: wall, pixel: [cam, 32, 9, 12]}\n"
-_ROWS = "".join(f"{k / 20:.2f};{k % 3}\n" for k in range(40)).replace(".", ",")
-
-
 def _universal():
     """Datasets 164 and 58, by hand."""
     head = [
@@ -199,9 +196,6 @@ def _universal():
     units = ["         1SI units                      1", f"{1000:25.17E}{1:25.17E}{1:25.17E}", f"{0:25.17E}"]
     kinds = ((164, units), (58, head + values))
     return "".join("\n".join(["    -1", f"{n:6d}", *lines, "    -1\n"]) for n, lines in kinds)
-
-
-STATE = {"features.0.bias": torch.ones(64), "lin0.model.1.weight": torch.ones(1, 64, 1, 1)}
 
 
 def _save_weights(file):

@@ -17,15 +17,14 @@ from tg4mm.capture.truth_file import load_truth
 from tg4mm.core.pictures import exr, png
 from tg4mm.show.render.cameras import cameras_from_file
 
-
-def _capture(root):
-    load_images(load_capture(root))
-
-
 SCENE = {
     "fps": 30, "n_timesteps": T, "unit_scale_m": 0.01, "kind": "rig", "alphas": [5], "modes": [{"name": "a"}],
     "width": 12, "height": 8, "format_version": 1, "amplitude": 0.02,
 }  # fmt: skip
+
+
+def _capture(root):
+    load_images(load_capture(root))
 
 
 def _tree(name, sized=False):

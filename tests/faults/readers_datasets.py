@@ -19,6 +19,7 @@ from tg4mm.capture.sfm.mapping import registered, save_model, saved_model
 from tg4mm.core.pictures import exr
 
 TIMING = {"pictures": 12, "seconds": 34.5, "processes": 2}
+BLEND = b"BLENDER-v405" + bytes(range(256)) * 8 + b"ENDB" + bytes(20)
 
 
 def _read_former_timing(root):
@@ -55,9 +56,6 @@ def _points(file):
 
 def _picture(file):
     file.write_bytes(exr.encode(np.random.default_rng(0).random((8, 12, 4)).astype(np.float32)))
-
-
-BLEND = b"BLENDER-v405" + bytes(range(256)) * 8 + b"ENDB" + bytes(20)
 
 
 def colmap_model():

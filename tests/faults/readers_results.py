@@ -64,6 +64,21 @@ FIGURES = {
     "n_gaussians": 300, "mib_on_disk": 1.5, "absent": {"LPIPS": "no weights"},
     "observed": {"displacement_error_observed": 0.1, "observed_share": 0.5}, "strongest_hz": 5.01,
 }  # fmt: skip
+RENDERED = {"recipe": json_digest({"data": "a", "alpha": 20})[:20], "n_images": 6, "frames_per_s": 31.5}
+BENCH = {"format": "tg4mm-bench", "version": 1, "kind": "scenes"}
+
+_LINE = [[math.sin(k), None] for k in range(20)]
+_PEAK = {
+    "frequency_hz": 3.0, "frequency_deviation_hz": 0.1, "main_amplitude": 0.1, "main_deviation": 0.01,
+    "main_is_above": True, "damping_ratio": 0.02, "damping_deviation": None,
+}  # fmt: skip
+_SERIES = {
+    "clock": "", "axes": {"right": [1, 0, 0], "sight": [0, 0, 1]}, "times_s": [k / 20 for k in range(20)],
+    "displacement": _LINE, "noise": [0.1, None], "model_share": [0.1, 0.1],
+}  # fmt: skip
+_SENSOR = {"name": "tip", "px_per_unit": 50.0, "series": [_SERIES], "peaks": [_PEAK]}
+_MEASURED = {"printed_unit": "mm", "unit_scale_m": 0.1, "sensors": [_SENSOR]}
+_CSV = "time_s,tip_mm,tip_mm_deviation\n" + "".join(f"{k / 20},{math.sin(k)},0.1\n" for k in range(20))
 
 
 def _read_metrics(root):
@@ -116,12 +131,6 @@ def _read_rendered(root):
     with patch.object(jobs, "truth_at", lambda *_: []):  # no picture is looked for
         found = jobs.rendered(method, "ours", data, root, capture, 20, None)
     np.median([found["frames_per_s"] or 0.0])
-
-
-RENDERED = {"recipe": json_digest({"data": "a", "alpha": 20})[:20], "n_images": 6, "frames_per_s": 31.5}
-
-
-BENCH = {"format": "tg4mm-bench", "version": 1, "kind": "scenes"}
 
 
 def _read_bench(root):
@@ -192,22 +201,6 @@ def _read_pass(root):
 
     with patch.object(prepared, "_looked", anew):
         measure_one(prepare(Run.open(root / "run"), keep=False), Sensor("all", "all", ()))
-
-
-_LINE = [[math.sin(k), None] for k in range(20)]
-_PEAK = {
-    "frequency_hz": 3.0, "frequency_deviation_hz": 0.1, "main_amplitude": 0.1, "main_deviation": 0.01,
-    "main_is_above": True, "damping_ratio": 0.02, "damping_deviation": None,
-}  # fmt: skip
-_SERIES = {
-    "clock": "", "axes": {"right": [1, 0, 0], "sight": [0, 0, 1]}, "times_s": [k / 20 for k in range(20)],
-    "displacement": _LINE, "noise": [0.1, None], "model_share": [0.1, 0.1],
-}  # fmt: skip
-_SENSOR = {"name": "tip", "px_per_unit": 50.0, "series": [_SERIES], "peaks": [_PEAK]}
-_MEASURED = {"printed_unit": "mm", "unit_scale_m": 0.1, "sensors": [_SENSOR]}
-
-
-_CSV = "time_s,tip_mm,tip_mm_deviation\n" + "".join(f"{k / 20},{math.sin(k)},0.1\n" for k in range(20))
 
 
 RESULTS: dict[str, Reader] = {

@@ -30,6 +30,33 @@ from tg4mm.show.export.usd import write_usd
 from tg4mm.show.render.video import write_mp4
 
 TMPFS = ("-t", "tmpfs", "-o")
+WRITERS = {
+    "a.ply": write_splat,
+    "a.spz": write_spz,
+    "a.glb": lambda path, splat: write_glb(path, splat, np.zeros(splat.n_modes)),
+    "a.usdc": lambda path, splat: write_usd(path, [(0, splat), (1, splat)], 30.0),
+    "a.usda": lambda path, splat: write_usd(path, [(0, splat), (1, splat)], 30.0),
+}
+
+FULL_IN = """
+import sys
+from pathlib import Path
+from tests.faults.test_disk import fill
+from tg4mm.cli import main
+from tg4mm.run import Run
+import tg4mm.fit.space.train
+tg4mm.fit.space.train.CHECKPOINT_EVERY_S = 0.0
+stage, nth, *words = sys.argv[1:]
+save, seen = Run.save_checkpoint, []
+def save_checkpoint(run, own, *what):
+    seen.append(own)
+    if seen.count(stage) == int(nth):
+        fill(run.path.parent)
+    save(run, own, *what)
+Run.save_checkpoint = save_checkpoint
+sys.exit(main(words))
+"""
+SETTINGS = ("space.iterations=60", "space.max_gaussians=300", "motion.iterations=3")
 
 
 def mount(*arguments):
@@ -84,15 +111,6 @@ def test_no_video_is_left_that_does_not_play(disk, kib):
     with pytest.raises(RunError, match=said):
         write_mp4(folder / "a.mp4", frames(), 10.0, scale=4)
     assert os.listdir(folder) == []
-
-
-WRITERS = {
-    "a.ply": write_splat,
-    "a.spz": write_spz,
-    "a.glb": lambda path, splat: write_glb(path, splat, np.zeros(splat.n_modes)),
-    "a.usdc": lambda path, splat: write_usd(path, [(0, splat), (1, splat)], 30.0),
-    "a.usda": lambda path, splat: write_usd(path, [(0, splat), (1, splat)], 30.0),
-}
 
 
 @pytest.mark.parametrize("left", [0, 4096])
@@ -157,29 +175,6 @@ def test_the_generator_leaves_no_temporary_file(disk):
 def tg4mm(*arguments):
     command = [sys.executable, "-m", "tg4mm", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120)
-
-
-FULL_IN = """
-import sys
-from pathlib import Path
-from tests.faults.test_disk import fill
-from tg4mm.cli import main
-from tg4mm.run import Run
-import tg4mm.fit.space.train
-tg4mm.fit.space.train.CHECKPOINT_EVERY_S = 0.0
-stage, nth, *words = sys.argv[1:]
-save, seen = Run.save_checkpoint, []
-def save_checkpoint(run, own, *what):
-    seen.append(own)
-    if seen.count(stage) == int(nth):
-        fill(run.path.parent)
-    save(run, own, *what)
-Run.save_checkpoint = save_checkpoint
-sys.exit(main(words))
-"""
-
-
-SETTINGS = ("space.iterations=60", "space.max_gaussians=300", "motion.iterations=3")
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,16 @@ time.sleep(60)
 """
 BUSY_S = 5.0  # of processor time, after which a render process has loaded Blender and renders
 PARENT = "import sys; from tg4mm.cli.program import main; sys.exit(main(['generate', *sys.argv[1:]]))"
+BENCH = """
+import sys
+from tg4mm.research.bench import presets
+step = presets.PresetStep("one", (sys.executable, "-c", sys.argv[1]), ())
+presets.steps_of = lambda *a, **k: [step, presets.PresetStep("two", (sys.executable, "-c", "open('two', 'w')"), ())]
+try:
+    presets.run_preset("smoke", "out")
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
 
 
 def wait_for(path, seconds=60.0):
@@ -70,18 +80,6 @@ def test_a_kill_of_the_parent_ends_the_child(tmp_path, repo_root, monkeypatch):
     parent.kill()
     parent.communicate(timeout=20)
     assert psutil.wait_procs([child], timeout=20)[1] == []
-
-
-BENCH = """
-import sys
-from tg4mm.research.bench import presets
-step = presets.PresetStep("one", (sys.executable, "-c", sys.argv[1]), ())
-presets.steps_of = lambda *a, **k: [step, presets.PresetStep("two", (sys.executable, "-c", "open('two', 'w')"), ())]
-try:
-    presets.run_preset("smoke", "out")
-except KeyboardInterrupt:
-    sys.exit(130)
-"""
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")

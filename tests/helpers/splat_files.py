@@ -23,6 +23,20 @@ from tg4mm.show.export.gltf import write_glb
 
 C0 = 0.28209479177387814
 
+# What a kind keeps: place (scene units), covariance (of the largest), opacity, constant and further coefficients.
+EXACT = (1e-6, 1e-5, 1e-6, 1e-6, 1e-6)
+
+KEPT = {
+    "compressed PLY": (0.005, 0.02, 0.003, 0.02, 0.02),
+    ".splat": (1e-6, 0.05, 0.003, 0.008, None),
+    "SPZ 1": (0.002, 0.2, 0.003, 0.014, 0.01),
+    "SPZ 2": (1e-5, 0.2, 0.003, 0.014, 0.01),
+    "SPZ 3": (1e-5, 0.08, 0.003, 0.014, 0.01),
+    "SPZ 4": (1e-5, 0.08, 0.003, 0.014, 0.01),
+    "SOG 1": (0.001, 0.05, 0.02, 0.02, 0.01),
+    "SOG 2": (0.001, 0.05, 0.003, 0.02, 0.01),
+}
+
 
 def stored(splat: SplatFile) -> dict[str, np.ndarray]:
     """The columns of a 3DGS PLY, float32; −∞ and +∞ where they are the logarithm or logit."""
@@ -231,22 +245,6 @@ def write_as(kind: str, folder: Path, splat: SplatFile) -> Path:
     path = folder / f"a{ending}"
     write(path, splat)
     return path
-
-
-# What a kind keeps: place (scene units), covariance (of the largest), opacity, constant and further coefficients.
-EXACT = (1e-6, 1e-5, 1e-6, 1e-6, 1e-6)
-
-
-KEPT = {
-    "compressed PLY": (0.005, 0.02, 0.003, 0.02, 0.02),
-    ".splat": (1e-6, 0.05, 0.003, 0.008, None),
-    "SPZ 1": (0.002, 0.2, 0.003, 0.014, 0.01),
-    "SPZ 2": (1e-5, 0.2, 0.003, 0.014, 0.01),
-    "SPZ 3": (1e-5, 0.08, 0.003, 0.014, 0.01),
-    "SPZ 4": (1e-5, 0.08, 0.003, 0.014, 0.01),
-    "SOG 1": (0.001, 0.05, 0.02, 0.02, 0.01),
-    "SOG 2": (0.001, 0.05, 0.003, 0.02, 0.01),
-}
 
 
 def still(n: int = 60, k: int = 16, seed: int = 3) -> SplatFile:

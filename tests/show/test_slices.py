@@ -13,6 +13,8 @@ from tg4mm.show.maps import amplitude_spectrum, blending_weights, difference_map
 
 T, H, W, FPS, FREQ = 30, 12, 64, 30.0, 3.0
 ROW = 7
+SIZE, FOCAL, DISTANCE = 32, 40.0, 4.0
+EPS2D = 0.3  # pixels², the low-pass that gsplat adds
 
 
 @pytest.fixture
@@ -55,10 +57,6 @@ def test_the_spectrum_is_the_weighted_mean_amplitude():
     np.testing.assert_array_equal(frequencies, [3.0, 5.0])
     np.testing.assert_allclose(amplitude, [np.sqrt(3) * 1e-3, 5e-3 / 4], rtol=1e-6)
     np.testing.assert_allclose(amplitude_spectrum(motion)[1][1], 5e-3 / 3, rtol=1e-6)
-
-
-SIZE, FOCAL, DISTANCE = 32, 40.0, 4.0
-EPS2D = 0.3  # pixels², the low-pass that gsplat adds
 
 
 def balls(means, scale, opacities):

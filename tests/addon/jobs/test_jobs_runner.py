@@ -12,6 +12,16 @@ import pytest
 
 pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
+STUBBORN = """
+import os, signal, subprocess, sys, time
+for number in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(number, signal.SIG_IGN)
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(99)"])
+from tg4mm.core.progress import emit_event
+emit_event("progress", label="pids", done=os.getpid(), total=child.pid)
+time.sleep(99)
+"""
+
 
 @pytest.fixture(scope="module")
 def jobs():
@@ -160,17 +170,6 @@ def test_poll_returns_at_once_while_a_program_hangs_and_cancel_ends_it(jobs, ste
     run(job, limit_s=jobs.runner.PATIENCE_S)
     assert (job.state, job.message) == (jobs.runner.JobState.CANCELLED, "Stopped")
     assert not job.cancelling
-
-
-STUBBORN = """
-import os, signal, subprocess, sys, time
-for number in (signal.SIGINT, signal.SIGTERM):
-    signal.signal(number, signal.SIG_IGN)
-child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(99)"])
-from tg4mm.core.progress import emit_event
-emit_event("progress", label="pids", done=os.getpid(), total=child.pid)
-time.sleep(99)
-"""
 
 
 @pytest.mark.parametrize("how", ["cancel", "close"])

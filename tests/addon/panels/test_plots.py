@@ -9,6 +9,8 @@ bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[gen
 
 from tests.addon.playing import import_splat  # noqa: E402
 
+TURNS = np.exp(2j * np.pi * np.arange(3600) / 3600)
+
 
 def test_the_curve_goes_through_its_values(extension):
     plots = extension.panels.plots
@@ -23,9 +25,6 @@ def test_the_curve_goes_through_its_values(extension):
         y = np.flatnonzero(red[74:, int(x)]).mean() + 74.5
         largest = np.abs(np.sin(3 * seconds)).max()
         assert y == pytest.approx(middle - height * np.sin(3 * 2 * part) / largest, abs=3)
-
-
-TURNS = np.exp(2j * np.pi * np.arange(3600) / 3600)
 
 
 def amplitudes(path):

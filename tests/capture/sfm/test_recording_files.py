@@ -27,6 +27,16 @@ from tg4mm.core.files import argument
 
 RATE = 240
 N = 48
+ODD = (
+    "12:30:00.mp4",
+    "http:o.mp4",
+    "alpha:20.mp4",
+    "-x.mp4",
+    "--x.mp4",
+    "file:a.mp4",
+    "a%03d.mp4",
+    "ü ?#1.mp4",
+)
 
 
 def tone(n=N, hz=30.0):
@@ -184,18 +194,6 @@ def test_other_containers_give_their_frames(tmp_path, suffix):
     assert np.abs(got[5].pixels.astype(float) - frames[5]).mean() < 12  # a palette
     if fps is None:
         assert video_info(path).rates[0] == pytest.approx(25, abs=0.1)
-
-
-ODD = (
-    "12:30:00.mp4",
-    "http:o.mp4",
-    "alpha:20.mp4",
-    "-x.mp4",
-    "--x.mp4",
-    "file:a.mp4",
-    "a%03d.mp4",
-    "ü ?#1.mp4",
-)
 
 
 @pytest.mark.parametrize("name", ODD)

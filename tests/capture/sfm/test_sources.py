@@ -13,6 +13,13 @@ from tg4mm.capture.sfm.staging import check_sizes, photograph_shots, stage, stag
 from tg4mm.cli import main
 
 PIXELS = np.full((6, 8, 4), 200, np.uint8)
+DATASETS = (
+    "scene.json",
+    "transforms_train.json",
+    "transforms.json",
+    "000/transforms_train.json",
+    "sparse/0/images.bin",
+)
 
 
 def fill(folder, n, shape=(6, 8)):
@@ -92,15 +99,6 @@ def test_what_is_refused(tmp_path):
     check("phone", "IMG_1.HEIC: .HEIC is not read; convert it to .jpg")
     videos(tmp_path / "twice", "cam.mp4", "cam.mov")
     check("twice", "twice: camera cam appears twice")
-
-
-DATASETS = (
-    "scene.json",
-    "transforms_train.json",
-    "transforms.json",
-    "000/transforms_train.json",
-    "sparse/0/images.bin",
-)
 
 
 @pytest.mark.parametrize("file", DATASETS)

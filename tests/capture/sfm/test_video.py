@@ -27,17 +27,6 @@ from tg4mm.capture.video import grey_frames, is_turned, video_frames, video_info
 from tg4mm.core.errors import CaptureError
 
 NTSC = Fraction(30000, 1001)
-
-
-def test_ntsc_is_taken_exactly(tmp_path):
-    path = write_video(tmp_path / "a.mp4", still(12), NTSC)
-    times = [frame.time for frame in video_frames(path)]
-    info = video_info(path)
-    assert times == [k / NTSC for k in range(12)]
-    assert frame_rate(path, times, info.rates, info.tick) == NTSC
-    assert info.duration_s == pytest.approx(12 * 1001 / 30000)
-
-
 _TURNED = {
     (1, 0, 0, 1): lambda p: p,
     (-1, 0, 0, 1): np.fliplr,
@@ -49,6 +38,15 @@ _TURNED = {
     (0, -1, -1, 0): lambda p: np.rot90(p, 2).swapaxes(0, 1),
     (1, 0.02, 0, 1): lambda p: p,
 }
+
+
+def test_ntsc_is_taken_exactly(tmp_path):
+    path = write_video(tmp_path / "a.mp4", still(12), NTSC)
+    times = [frame.time for frame in video_frames(path)]
+    info = video_info(path)
+    assert times == [k / NTSC for k in range(12)]
+    assert frame_rate(path, times, info.rates, info.tick) == NTSC
+    assert info.duration_s == pytest.approx(12 * 1001 / 30000)
 
 
 @pytest.mark.parametrize("matrix", _TURNED)

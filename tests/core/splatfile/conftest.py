@@ -6,6 +6,8 @@ import numpy as np
 
 from tg4mm.core.splatfile import SplatFile
 
+NAMES = [*"xyz", *(f"f_dc_{i}" for i in range(3)), "opacity"]
+
 
 def random_splat(seed=0, n=5, k=4, m=2, fps=30.0, n_timesteps=30, unit_scale_m=0.5, deviation=False):
     """A moving scene of N Gaussians and M modes."""
@@ -49,7 +51,6 @@ def assert_same(a, b):
             assert one == other, name
 
 
-NAMES = [*"xyz", *(f"f_dc_{i}" for i in range(3)), "opacity"]
 NAMES += [*(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
 
 

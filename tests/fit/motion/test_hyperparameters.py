@@ -105,7 +105,9 @@ class TestSmoothness:
 
     def test_the_operators_of_a_gpu_give_the_same(self, problem):
         images = shown(problem, as_one() + 0.3 * each_by_itself(), 1.0)
-        assert weight_for(OnTensors.of(problem), images) == pytest.approx(weight_for(problem, images), rel=1e-3)
+        assert weight_for(OnTensors.of(problem), images) == pytest.approx(
+            weight_for(problem, images), rel=1e-3
+        )
 
     @pytest.mark.parametrize("still", [[0], [1], [0, 1]])
     def test_a_fold_that_does_not_change_says_nothing(self, problem, still):

@@ -17,6 +17,7 @@ from tg4mm.show.render.image import render_image
 
 # at the origin of a world whose z is up, looking along +y
 VIEWMAT = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float32)
+BABY = Path(__file__).resolve().parents[4] / "shared" / "data" / "evm" / "baby.mp4"
 
 
 def camera(width, height):
@@ -138,9 +139,6 @@ def test_what_is_not_flat_is_refused(tmp_path):
     with pytest.raises(Tg4mmError, match="max_gaussians is 5, expected >= 16"):
         train_plane(run, views_of(textured(48, 32)), SpaceConfig(max_gaussians=5))
     assert not run.has_space
-
-
-BABY = Path(__file__).resolve().parents[4] / "shared" / "data" / "evm" / "baby.mp4"
 
 
 @pytest.mark.slow

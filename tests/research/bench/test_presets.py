@@ -28,6 +28,24 @@ from tg4mm.research.bench.presets import (
 ROOT = Path(__file__).parents[3]
 SNAKEFILE = Path(tg4mm.research.bench.__file__).parent / "Snakefile"
 
+# Plans as the real one does; other commands are recorded. Of phase-2d's the first is killed where `kill` is there, and
+# all fail where `fail` is.
+STAND_IN = """#!{python}
+import os, runpy, signal, sys
+sys.path.insert(0, {root!r})
+if sys.argv[2] == "tg4mm.research.bench.presets":
+    sys.argv = sys.argv[2:]
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+    sys.exit()
+line = " ".join(sys.argv[3:])
+with open({log!r}, "a") as log:
+    log.write(line + "\\n")
+if os.path.exists({kill!r}) and " phase-2d --out" in line:
+    os.unlink({kill!r})
+    os.kill(os.getpid(), signal.SIGKILL)
+sys.exit("does not work" if os.path.exists({fail!r}) and " phase-2d --out" in line else 0)
+"""
+
 
 def accepted(line):
     """The values that the program reads from a command, by the parsers of its own command line."""
@@ -168,25 +186,6 @@ def run_snakemake(folder, config, *more):
     command = [snakemake(), "-s", str(SNAKEFILE), "--configfile", "config.json", *more]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(folder / "cache")}
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=240)
-
-
-# Plans as the real one does; other commands are recorded. Of phase-2d's the first is killed where `kill` is there, and
-# all fail where `fail` is.
-STAND_IN = """#!{python}
-import os, runpy, signal, sys
-sys.path.insert(0, {root!r})
-if sys.argv[2] == "tg4mm.research.bench.presets":
-    sys.argv = sys.argv[2:]
-    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
-    sys.exit()
-line = " ".join(sys.argv[3:])
-with open({log!r}, "a") as log:
-    log.write(line + "\\n")
-if os.path.exists({kill!r}) and " phase-2d --out" in line:
-    os.unlink({kill!r})
-    os.kill(os.getpid(), signal.SIGKILL)
-sys.exit("does not work" if os.path.exists({fail!r}) and " phase-2d --out" in line else 0)
-"""
 
 
 def test_the_page_is_made_though_a_job_failed_and_a_killed_worker_is_replaced(tmp_path):

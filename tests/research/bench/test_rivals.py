@@ -20,6 +20,13 @@ from tg4mm.research.paper.space import views_at
 from tg4mm.run import Run
 
 BOX = np.array([[-1.0] * 3, [1.0] * 3], np.float32)
+_FEW = {
+    "tracking": {"iterations": "400", "resolution": "16"},
+    "4dgs": {"iterations": "200", "resolution": "16"},
+    "sc-gs": {"iterations": "200", "points": "100", "width": "32", "layers": "2"},
+    "per-frame": {"iterations": "40"},
+    "3dmm": {"iterations": "250", "motion_iterations": "60", "rays": "256", "resolution": "32"},
+}
 
 
 def test_planes_are_read_as_grid_sample_reads_them_and_gradients_go_back():
@@ -105,15 +112,6 @@ def test_control_points_that_turn_as_one_carry_the_gaussians_rigidly(data):
 def test_points_are_spread_as_far_as_they_go():
     line = torch.stack([torch.arange(9.0), torch.zeros(9), torch.zeros(9)], 1)
     assert sorted(spread(line, 3).tolist()) == [0, 4, 8]
-
-
-_FEW = {
-    "tracking": {"iterations": "400", "resolution": "16"},
-    "4dgs": {"iterations": "200", "resolution": "16"},
-    "sc-gs": {"iterations": "200", "points": "100", "width": "32", "layers": "2"},
-    "per-frame": {"iterations": "40"},
-    "3dmm": {"iterations": "250", "motion_iterations": "60", "rays": "256", "resolution": "32"},
-}
 
 
 @pytest.mark.slow

@@ -21,6 +21,8 @@ from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.research.evaluate.scores import Subject
 from tg4mm.show.maps import blending_weights
 
+VIDEO = np.full((4, 32, 32, 3), 128, np.uint8)
+
 
 @pytest.fixture(scope="module")
 def truth(data):
@@ -114,9 +116,6 @@ def test_pictures_that_will_not_do(truth, tmp_path):
     with pytest.raises(BenchError, match="leads out of its folder"):
         score_pictures(truth, folder)
     shutil.rmtree(folder)
-
-
-VIDEO = np.full((4, 32, 32, 3), 128, np.uint8)
 
 
 def checkout(folder, metric, program):

@@ -15,6 +15,8 @@ from tg4mm.cli import main
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.sets import check_alphas, open_set, open_sets
 
+NEAR, FAR, HALF, SLIDE = 3.0, 4.0, 0.5, 0.4  # depths, half an edge of the card, amplitude
+
 
 def one_line(match):
     return pytest.raises(BenchError, match=rf"\A[^\n]*{match}[^\n]*\Z")
@@ -69,9 +71,6 @@ def test_what_cannot_be_benchmarked_is_refused(data, tmp_path):
     with one_line(r"--alphas 7: dataset .* has ground truth for 5, 20"):
         check_alphas(open_sets([data]), (7.0,))
     check_alphas(open_sets([data]), (7.0, 20.0))
-
-
-NEAR, FAR, HALF, SLIDE = 3.0, 4.0, 0.5, 0.4  # depths, half an edge of the card, amplitude
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from tg4mm.research.evaluate.displacement import displacement_figures, frequency
 from tg4mm.research.evaluate.scores import uncertainty_figures, unresolved
 
 FPS, T, N = 30.0, 30, 40
+MANY = 400
 
 
 def motion(modes, fps=FPS, n_timesteps=T):
@@ -131,9 +132,6 @@ def test_what_does_not_fit_together_is_refused(true):
         displacement_figures(replace(true, fps=25.0), true, np.ones(N))
     with pytest.raises(ValueError, match="sum is 0"):
         displacement_figures(true, true, np.zeros(N))
-
-
-MANY = 400
 
 
 @pytest.fixture

@@ -14,6 +14,8 @@ from tg4mm.core.metrics import flip, psnr, ssim
 from tg4mm.research.evaluate import EvaluationError
 from tg4mm.research.evaluate.lpips import load_lpips
 
+LAYERS = {0: (64, 3, 11), 3: (192, 64, 5), 6: (384, 192, 3), 8: (256, 384, 3), 10: (256, 256, 3)}
+
 
 @pytest.fixture
 def pair():
@@ -63,9 +65,6 @@ def test_flip_is_the_evaluators_mean_and_leaves_its_input_alone(pair):
     assert flip(truth, truth) == 0.0
     for now, then in zip((image, truth), before, strict=True):
         np.testing.assert_array_equal(now, then)
-
-
-LAYERS = {0: (64, 3, 11), 3: (192, 64, 5), 6: (384, 192, 3), 8: (256, 384, 3), 10: (256, 256, 3)}
 
 
 def made_up_weights(trunk="features.{}"):

@@ -15,6 +15,11 @@ from tg4mm.show.analyse.tables import AnalyseError
 RATE, N = 200.0, 400
 TIMES = np.arange(N) / RATE
 VALUES = np.round(3 * np.sin(2 * np.pi * 7 * TIMES) + 0.25, 5)
+HEAD = (
+    "LabVIEW Measurement\t\nX_Columns\t{}\nDate\t2020/05/13\nTime\t12:30:05.1234\n***End_of_Header***\t\n\t"
+)
+PARTS = "Channels\t1\t\nSamples\t400\t\nY_Unit_Label\tm/s^2\t\nX0\t0.0E+0\t\nDelta_X\t0.005\t\n***End_of_Header***\t\t"
+NOON = datetime(2024, 5, 3, 23, 59, 59)
 
 
 def lines(times="{:.4f}", part=",", point="."):
@@ -100,13 +105,6 @@ def test_every_quantity_has_levels(tmp_path, capsys, head, quantity, unit):
     factor = 1e-3 if head.endswith("µm]") else 1
     peak = float(row.split(quantity)[1].split()[0])
     assert peak == pytest.approx(3 * factor, rel=0.01)
-
-
-HEAD = (
-    "LabVIEW Measurement\t\nX_Columns\t{}\nDate\t2020/05/13\nTime\t12:30:05.1234\n***End_of_Header***\t\n\t"
-)
-PARTS = "Channels\t1\t\nSamples\t400\t\nY_Unit_Label\tm/s^2\t\nX0\t0.0E+0\t\nDelta_X\t0.005\t\n***End_of_Header***\t\t"
-NOON = datetime(2024, 5, 3, 23, 59, 59)
 
 
 def of_times(form, part=","):

@@ -8,6 +8,8 @@ from tg4mm.show.measure.series import derivatives_of, deviations_of
 from tg4mm.show.measure.spectrum import Harmonic, harmonics_of, orbit_in, orbit_of, spectrum_of
 
 TIMES = np.arange(60) / 30.0
+ALL = np.ones(3, bool)
+FPS, RESOLUTION = 30.0, 0.5
 
 
 def noisy(values, sigma, seed):
@@ -101,9 +103,6 @@ def test_an_orbit_is_the_ellipse():
     assert np.abs(orbit.minor) == pytest.approx([0, 1, 0], abs=1e-3)
 
 
-ALL = np.ones(3, bool)
-
-
 @pytest.mark.parametrize("turn", [0.0, 0.7])
 def test_a_direction_that_is_hardly_seen_does_not_hide_the_others(turn):
     """.4 to the right ± .01, and .3 ± .29 along the sight: the main axis is what is seen; the sight stands apart.
@@ -135,9 +134,6 @@ def test_of_noise_alike_along_all_axes_a_clear_main_axis_keeps_all():
     orbit = orbit_in(np.array([0.4, 0.1, 0.0], complex), np.full(3, 0.1), ALL)
     assert orbit.amplitude == pytest.approx(np.hypot(0.4, 0.1))
     assert orbit.stands_out
-
-
-FPS, RESOLUTION = 30.0, 0.5
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,8 @@ from tg4mm.show.maps import blending_weights, image_motion, motion_maps, uncerta
 from tg4mm.show.render.cameras import capture_cameras
 from tg4mm.show.report.figures import SliceLine, slice_picture
 
+EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)>"
+
 
 def moving_dot(axis):
     """A dot that moves along column 20 (or row 20) between pixels 10 and 14 of 40."""
@@ -61,9 +63,6 @@ def test_uncertainty_shows_as_the_peak_of_a_sinusoid(tmp_path):
     np.testing.assert_allclose(shown[moving], np.sqrt(2) * 0.004, rtol=0.05)
     np.testing.assert_allclose(shown[still], np.sqrt(2) * 0.001, rtol=1e-4)
     assert not shown[maps.opacity < 1e-6].any()
-
-
-EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)>"
 
 
 def page(text):

@@ -18,6 +18,8 @@ from tg4mm.show.report.sources import choose_alpha, metrics_of
 from tg4mm.show.result.read import result_from
 from tg4mm.show.result.reading import reading_of
 
+METRICS = {"format": "tg4mm-metrics", "metrics": [], "alphas": [], "absent": {}, "notes": []}
+
 
 @pytest.fixture(scope="module")
 def reading(run):
@@ -33,9 +35,6 @@ def test_without_truth_it_is_what_shows_the_motion_within_its_noise(reading, tmp
     assert limits.pixels * (1 + alpha) <= 0.04 * 48 * 1.001
     assert limits.too_far * (1 + alpha) <= 1
     assert "4 %" in why
-
-
-METRICS = {"format": "tg4mm-metrics", "metrics": [], "alphas": [], "absent": {}, "notes": []}
 
 
 def test_scores_newer_than_the_model_are_taken_and_older_ones_made_again(run, tmp_path):

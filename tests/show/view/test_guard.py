@@ -29,6 +29,10 @@ CAMERA = {
     "near": 0.01, "far": 1000.0, "image_height": 48, "image_width": 64, "look_at": [0.0, 0.0, 0.0],
     "up_direction": [0.0, 0.0, 1.0],
 }  # fmt: skip
+UPGRADE = (
+    "Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
+    "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", f"Sec-WebSocket-Protocol: viser-v{viser.__version__}",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -61,12 +65,6 @@ def asked(server, path, *headers, host=None):
             answer += part
     head, _, body = answer.decode("utf-8", "replace").partition("\r\n\r\n")
     return int(head.split()[1]), head, body
-
-
-UPGRADE = (
-    "Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
-    "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", f"Sec-WebSocket-Protocol: viser-v{viser.__version__}",
-)  # fmt: skip
 
 
 def entered(server, **options):

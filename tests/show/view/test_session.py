@@ -25,6 +25,8 @@ from tg4mm.show.view.scene import camera_of, open_scene, standpoint_of
 from tg4mm.show.view.screen import Pace, Screen, Viewport, picture_of
 from tg4mm.show.view.session import DisplaySettings, PlaybackClock, SceneRenderer, Session
 
+CANVAS = Viewport((0.0, -4.0, 0.5), (0.7071068, -0.7071068, 0.0, 0.0), 0.7, 320, 240)
+
 
 @pytest.fixture(scope="module")
 def painter(scene):
@@ -105,9 +107,6 @@ def test_pictures_are_drawn_at_the_moments_that_a_measurement_gives(scene, monke
                 break
         assert drawn.is_set()
     thread.join()
-
-
-CANVAS = Viewport((0.0, -4.0, 0.5), (0.7071068, -0.7071068, 0.0, 0.0), 0.7, 320, 240)
 
 
 @pytest.fixture

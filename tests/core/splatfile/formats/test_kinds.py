@@ -38,6 +38,15 @@ from tg4mm.core.splatfile import SplatFile, read_head, read_splat, write_splat
 from tg4mm.core.splatfile.formula import transformed
 from tg4mm.core.splatfile.model import Head
 
+WRITTEN = {  # by splat-transform: name, options, from PLY's axes to ours, what is kept
+    "a.compressed.ply": ((), np.eye(3), KEPT["compressed PLY"]),
+    "a.sog": ((), np.eye(3), (0.001, 0.1, 0.004, 0.02, None)),
+    "folder/meta.json": ((), np.eye(3), (0.001, 0.1, 0.004, 0.02, None)),
+    "b.spz": (("--spz-version", "3"), [[1, 0, 0], [0, 0, 1], [0, -1, 0]], (3e-4, 0.08, 0.003, 0.014, 0.12)),
+    "c.spz": (("--spz-version", "4"), [[1, 0, 0], [0, 0, 1], [0, -1, 0]], (3e-4, 0.08, 0.003, 0.014, 0.12)),
+    "a.glb": ((), [[-1, 0, 0], [0, 0, -1], [0, -1, 0]], (1e-6, 1e-4, 1e-5, 1e-5, 1e-5)),
+}
+
 
 @pytest.mark.parametrize("k", [1, 16])
 @pytest.mark.parametrize("kind", KINDS)
@@ -63,16 +72,6 @@ def splat_transform(tmp_path_factory):
         assert done.returncode == 0, done.stderr
 
     return run
-
-
-WRITTEN = {  # by splat-transform: name, options, from PLY's axes to ours, what is kept
-    "a.compressed.ply": ((), np.eye(3), KEPT["compressed PLY"]),
-    "a.sog": ((), np.eye(3), (0.001, 0.1, 0.004, 0.02, None)),
-    "folder/meta.json": ((), np.eye(3), (0.001, 0.1, 0.004, 0.02, None)),
-    "b.spz": (("--spz-version", "3"), [[1, 0, 0], [0, 0, 1], [0, -1, 0]], (3e-4, 0.08, 0.003, 0.014, 0.12)),
-    "c.spz": (("--spz-version", "4"), [[1, 0, 0], [0, 0, 1], [0, -1, 0]], (3e-4, 0.08, 0.003, 0.014, 0.12)),
-    "a.glb": ((), [[-1, 0, 0], [0, 0, -1], [0, -1, 0]], (1e-6, 1e-4, 1e-5, 1e-5, 1e-5)),
-}
 
 
 @pytest.mark.parametrize("name", WRITTEN)
