@@ -92,6 +92,27 @@ def test_a_still_wall_that_the_codec_skips_does_not_outvote_the_plate(tmp_path, 
     assert found.smallest[0].best_px > 1e-4  # rounding alone hides less
 
 
+@pytest.mark.parametrize("passes", [False, True])
+@pytest.mark.parametrize(
+    ("photograph", "noise", "crf", "shape"),
+    [("brick", 2.3, 23, (150, 192, 256)), ("rocket", 0.9, 15, (200, 240, 320))],
+)
+def test_noise_that_a_key_frame_brings_anew_is_nothing_that_passes(
+    tmp_path, photograph, noise, crf, shape, passes
+):
+    """Codecs repeat the noise of a key frame in all that rests, until the next one replaces it."""
+    still = np.atleast_3d(getattr(data, photograph)()).mean(2)
+    still = still[-shape[1] :, : shape[2]] if photograph == "brick" else still[: shape[1], : shape[2]]
+    frames = still + noise * np.random.default_rng(2).normal(size=shape)
+    for k in range(40 if passes else 0):
+        frames[60 + k, 48:96, 4 * k : 4 * k + 32] = data.gravel()[:48, :32]
+    coding = Coding("libx264", 0, shape[0] - 50, crf=crf)
+    write_video(tmp_path / "a.mp4", np.clip(np.rint(frames), 0, 255).astype(np.uint8), 30, coding)
+    found = look(tmp_path / "a.mp4").movers
+    assert bool(found) == passes
+    assert not passes or (min(m.from_s for m in found) < 2.3 and max(m.until_s for m in found) > 3.0)
+
+
 @pytest.mark.parametrize(
     ("size_px", "hz", "noise", "crf", "box"),
     [(0.96, 9.52, 0.08, 21, np.s_[24:86, 32:129]), (1.13, 7.59, 0.27, 19, np.s_[36:83, 31:119]),

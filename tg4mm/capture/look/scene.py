@@ -15,7 +15,7 @@ from tg4mm.capture.tracking.template import Grid
 from tg4mm.core.lines import tone
 
 _BESIDE, _BESIDE_SPREADS = 1.5, 3  # times the baseline misfit, and deviations of its scatter: a mover's rim
-_PASSING = 6  # deviations of a cell's own misfit over time
+_PASSING = 6  # deviations of a cell's own misfit over time, and of key frames' noise over cells
 _UNSEEN_NOISE = 4.0  # grey levels², as sensors have: where a codec repeats what rests, its noise is not known
 _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
 _MOST_LOST = 0.9  # share of detail: what is left of a line that is found
@@ -236,12 +236,18 @@ def _is_most(grid: Grid, left: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 
 def _key_frame_noise(series: CellSeries, informative: np.ndarray) -> float:
-    """Return the noise of key frames that is seldom exceeded, grey levels²."""
+    """Return the noise of key frames that is seldom exceeded, grey levels².
+
+    A codec repeats the noise of a key frame in cells at rest until it codes them again, often with the next key frame:
+    the largest of all cells' values then stands for seconds, as a thing would that has come. Where it never codes a
+    cell again, the key frame is the mean, and its misfit says nothing.
+    """
     some = series.misfit[series.kinds == INTRA][:, informative]
+    some = some[some > QUANTISED]
     if not some.size:
         return 0.0
     middle = float(np.median(some))
-    return middle + 2 * 1.4826 * float(np.median(np.abs(some - middle)))
+    return middle + _PASSING * 1.4826 * float(np.median(np.abs(some - middle)))
 
 
 def _misfit_limit(relative: np.ndarray) -> np.ndarray:
