@@ -31,7 +31,7 @@ DAMAGE = ("error while decoding", "invalid nal unit size", "partial file", "corr
 _CUTS = "its edit list cuts it, or slows a part down: all pictures are taken, at the times that the camera gave them"
 _FASTEST = 1e6  # pictures a second
 HAIR_S = 1e-6  # seconds by which a decimal may miss the fraction it means
-ALONE, BETWEEN = 1, 3  # FFmpeg's AV_PICTURE_TYPE_I and _B
+ALONE, FORWARD, BETWEEN = 1, 2, 3  # FFmpeg's AV_PICTURE_TYPE_I, _P and _B
 BARE_SUFFIXES = (".h264", ".264", ".h265", ".265", ".hevc")  # streams without a container
 VIDEO_SUFFIXES = (
     *(".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".3gp", ".gif", ".ts", ".mts", ".m2ts", ".cine"),

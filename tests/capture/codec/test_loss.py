@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from tests.capture.sfm.videos import encoded, still, texture, write_video
-from tg4mm.capture.codec import Loss, MeasuredTone, before_compression, codec_losses, is_lossless
+from tg4mm.capture.codec import (
+    Loss,
+    MeasuredTone,
+    before_compression,
+    codec_losses,
+    coded_change,
+    is_lossless,
+)
 from tg4mm.capture.codec.trial import gain_of, probe, shifts_of
 from tg4mm.capture.planes import Orientation
 from tg4mm.capture.scene import video_file
@@ -149,3 +156,12 @@ def test_what_is_no_video_is_refused(tmp_path, video, said):
     (tmp_path / "set" / "scene.json").write_text(json.dumps({"fps": 30, "video": video}))
     with pytest.raises(CaptureError, match=said):
         video_file(tmp_path / "set")
+
+
+def test_what_predicted_frames_lack_bounds_what_a_codec_may_change():
+    kinds = np.array(([1] + [2, 3, 3] * 9 + [2]) * 2)
+    noise = np.select([kinds == 1, kinds == 2], [4.0, 2.0], 1.0)
+    found = coded_change(noise, kinds)
+    assert found.most == pytest.approx(np.log(2))  # predicted from one side: half of what is coded alone
+    assert found.size == pytest.approx(np.sqrt(2.0))
+    assert coded_change(np.ones(60), np.ones(60, int)).most == 0

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks.modulated_lines import scored, told_apart
-from tg4mm.core.lines import find_lines, fit_line_near, fit_lines
+from tg4mm.core.lines import CodecChange, find_lines, fit_line_near, fit_lines
 
 FPS = 30.0
 
@@ -321,3 +321,27 @@ def test_of_one_exponential_the_deviation_stays_true():
 @pytest.mark.parametrize("loss", [0.1, 0.2])
 def test_where_small_motion_is_lost_the_deviation_says_so(loss):
     assert np.abs(scores(loss)).max() < 3.5
+
+
+@pytest.mark.parametrize(
+    ("codec", "changes"),
+    [
+        (None, True),
+        (CodecChange(0.6), False),
+        (CodecChange(0.2), True),
+        (CodecChange(0.6, size=0.1), True),
+        (CodecChange(0.6, size=0.6), False),
+    ],
+)
+def test_a_change_that_a_codec_may_have_made_is_not_a_vibrations_own(codec, changes):
+    """exp(−.4) over the record; of a line with a third of its amplitude's power lacking, at most half of .14."""
+    t = np.arange(240) / 30
+    own = 0.5 * np.exp(-0.05 * t) * np.cos(2 * np.pi * 3.7 * t)
+    values = own + 0.01 * np.random.default_rng(0).normal(size=240)
+    for line in (
+        find_lines(values, t, codec=codec).lines[0],
+        fit_lines(values, t, [3.7], codec=codec).lines[0],
+    ):
+        assert line.change == ("decays" if changes else "untold")
+        assert (line.damping is not None) == changes
+        assert changes or line.amplitude[0] == pytest.approx(0.5 * (1 - np.exp(-0.4)) / 0.4, rel=0.02)

@@ -71,6 +71,7 @@ def test_a_codec_that_takes_more_of_what_has_rung_down_is_in_the_dampings_deviat
     assert with_loss(ringing, Loss(1.0, 0.0), Loss(1.0, 0.0)) == ringing
     unknown = Loss(float("nan"), float("nan"), "not known")
     assert with_loss(ringing, unknown, unknown) == ringing
+    assert with_loss(ringing, Loss(0.3, 0.05, "smaller"), Loss(0.1, 0.05, "smaller")) is None
     driven = Damping(0.012, 0.0003, 0.6, HALF_POWER)
     assert with_loss(driven, Loss(0.97, 0.05), Loss(0.5, 0.05)) == driven
     assert with_loss(None, Loss(0.97, 0.05), Loss(0.5, 0.05)) is None

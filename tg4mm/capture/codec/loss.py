@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from tg4mm.capture.codec.trial import CodecSample, MeasuredTone, is_lossless, probe, through
-from tg4mm.capture.video import av_module
+from tg4mm.capture.video import ALONE, BETWEEN, FORWARD, av_module
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.lines import CodecChange
 
 # The deviation of a gain: times the test's standard error, and beside it (docs/uncertainty.md, films of x264, x265)
 SCATTER, BESIDE = 1.15, 0.05
@@ -33,6 +34,8 @@ _FEWEST, _PERIODS, _PIXELS = 64, 6, 30e6
 # The same where an answer is wanted in seconds, and the pixels beyond which there is none.
 _QUICK_PERIODS, _QUICK_PIXELS, _QUICK_MOST = 3, 4e6, 12e6
 _GAINS = 0.15, 1.1  # that the second tone is corrected by
+_MOST_LOST = 0.9  # share of detail: what is left of a line that is found
+_FEWEST_OF_KIND = 8  # frames, more than which show what a kind lacks
 _ALIKE = 0.9  # first gains from which a second tone would be as large as the first within the deviation
 
 
@@ -181,6 +184,29 @@ def _apart(rows: Sequence[int], masks: Sequence[np.ndarray]) -> list[list[int]]:
         group = next(free, None)
         groups.append([k]) if group is None else group.append(k)
     return groups
+
+
+def lacking(noise: np.ndarray, some: np.ndarray, others: np.ndarray) -> float:
+    """Return the share of detail that frames `some` [F] bool lack compared with `others`; neither is empty.
+
+    noise [F, …]: mean square of what motion leaves of each frame.
+    """
+    typical = [float(np.median(noise[rows])) for rows in (some, others)]
+    return max(0.0, 1 - typical[0] / max(typical[1], 1e-9))
+
+
+def coded_change(noise: np.ndarray, kinds: np.ndarray) -> CodecChange:
+    """Return what compression may change a steady line by; its `size` is the root mean square that is lacking.
+
+    noise [F, …], as for `lacking`; kinds [F]: of the coded pictures, as FFmpeg numbers them.
+    """
+    alone, forward, between = (kinds == kind for kind in (ALONE, FORWARD, BETWEEN))
+    lost, power = 0.0, 0.0
+    pairs = [(between, ~between)] if min(between.sum(), (~between).sum()) > _FEWEST_OF_KIND else []
+    for some, others in [*pairs, *([(forward, alone)] if alone.any() and forward.any() else [])]:
+        share = lacking(noise, some, others)
+        lost, power = max(lost, share), max(power, share * float(np.median(noise[others])))
+    return CodecChange(float(-np.log(1 - min(lost, _MOST_LOST))), float(np.sqrt(power)))
 
 
 def before_compression(amplitude: float, deviation: float, loss: Loss | None) -> tuple[float, float]:

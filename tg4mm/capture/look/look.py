@@ -245,6 +245,7 @@ def _result(
         smallest=search.smallest(),
         first=series.first,
         without_between=scene.treats_apart,
+        coded_change=scene.coded_change,
         light_readout=by_light(series.row_means, series.times_s),
         swings=swings,
     )

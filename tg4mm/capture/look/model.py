@@ -113,6 +113,8 @@ class LookSummary:
     )  # amplitudes are mostly of pictures other than B
     light_readout: Readout | None = field(default=None, kw_only=True)  # by lamps that flicker
     swings: tuple[GlobalMotion, ...] = field(default=(), kw_only=True)
+    # by how much the codec may let a steady line grow or fade over the record, as a logarithm
+    coded_change: float = field(default=0.0, kw_only=True)
     rows_s: float = field(default=0.0, kw_only=True)  # the readout that phases take into account
     conversion: str = field(
         default="", kw_only=True

@@ -29,6 +29,7 @@ def to_record(found: LookSummary) -> dict[str, Any]:
         "without_between": found.without_between,
         "light_readout": None if found.light_readout is None else asdict(found.light_readout),
         "swings": [asdict(swing) for swing in found.swings],
+        "coded_change": found.coded_change,
         "rows_s": found.rows_s,
         "conversion": found.conversion,
     }
@@ -64,6 +65,7 @@ def from_record(values: Mapping[str, Any]) -> LookSummary:
             GlobalMotion(**v | {"tones": tuple(FlickerLine(**t) for t in v["tones"])})
             for v in values.get("swings", [])
         ),
+        coded_change=values.get("coded_change", 0.0),
         rows_s=values.get("rows_s", 0.0),
         conversion=values.get("conversion", ""),
     )

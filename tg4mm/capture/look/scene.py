@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from tg4mm.capture.codec.loss import coded_change, lacking
 from tg4mm.capture.look.baseline import BLOCK, LEAST_INFORMATION, OTHER, QUANTISED
-from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, baseline_in, whole_shift
+from tg4mm.capture.look.reading import BETWEEN, INTRA, CellSeries, baseline_in, whole_shift
 from tg4mm.capture.look.spectra import step, tones_of
 from tg4mm.capture.look.zoom import camera_shapes, designs, fitted
 from tg4mm.capture.tracking.template import Grid
@@ -18,7 +19,6 @@ _BESIDE, _BESIDE_SPREADS = 1.5, 3  # times the baseline misfit, and deviations o
 _PASSING = 6  # deviations of a cell's own misfit over time, and of key frames' noise over cells
 _UNSEEN_NOISE = 4.0  # grey levels², as sensors have: where a codec repeats what rests, its noise is not known
 _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
-_MOST_LOST = 0.9  # share of detail: what is left of a line that is found
 _LOST = 0.03  # share of detail that B-frames lack from which they are treated apart
 _FEWESTOTHERS = 24  # pictures that are not B
 FEWEST_OF_KIND = 8  # pictures from which a cell's typical misfit is known
@@ -134,14 +134,9 @@ class CellScene:
 
     @property
     def coded_change(self) -> float:
-        """Return how much a codec may let a small motion grow or fade over the record, as a logarithm.
-
-        The loss varies as it refines pictures, and is at most the missing share of detail.
-        """
-        kinds = self.series.kinds
-        alone, forward = kinds == INTRA, kinds == FORWARD
-        predicted = lacks(self.series, forward, alone) if alone.any() and forward.any() else 0.0
-        return float(-np.log(1 - min(max(self.lost, predicted), _MOST_LOST)))
+        """Return how much a codec may let a small motion grow or fade over the record, as a logarithm."""
+        compared = baseline_in(self.series).compared
+        return coded_change(self.series.misfit[:, compared], self.series.kinds).most
 
     @property
     def treats_apart(self) -> bool:
@@ -280,16 +275,14 @@ def typical_by_kind(series: CellSeries) -> np.ndarray:
 def _lost(series: CellSeries) -> float:
     """Return the share of detail that B-frames lack compared with the others, by their noise."""
     between = series.kinds == BETWEEN
-    if between.sum() <= 8 or (~between).sum() <= 8:
+    if min(between.sum(), (~between).sum()) <= FEWEST_OF_KIND:
         return 0.0
     return lacks(series, between, ~between)
 
 
 def lacks(series: CellSeries, some: np.ndarray, others: np.ndarray) -> float:
     """Return the share of detail that frames `some` [F] bool lack compared with `others`; neither is empty."""
-    compared = baseline_in(series).compared
-    typical = [float(np.median(series.misfit[rows][:, compared])) for rows in (some, others)]
-    return max(0.0, 1 - typical[0] / max(typical[1], 1e-9))
+    return lacking(series.misfit[:, baseline_in(series).compared], some, others)
 
 
 def _nuisance(series: CellSeries, gain: np.ndarray) -> tuple[np.ndarray, list[Light]]:

@@ -20,6 +20,7 @@ from tg4mm.core.lines.record import (
     LEAST_CHANGE,
     LEAST_CYCLES,
     LONG,
+    CodecChange,
     Line,
     Lines,
     Record,
@@ -45,6 +46,7 @@ def find_lines(
     most: int = 8,
     b_frames: np.ndarray | None = None,
     chance: float = 0.01,
+    codec: CodecChange | None = None,
 ) -> Lines:
     """The lines of values [T] or [T, D] at times [T] in seconds, which need not be even.
 
@@ -52,9 +54,10 @@ def find_lines(
     where it is larger. ends: the lowest and highest frequency looked at, Hz; 1.5 cycles in the record and half the
     rate less half of 1 / duration if not given. Components share frequencies and decays. chance: that noise alone makes
     a line in the record. Of fewer than 12 samples, none. between [T] bool: samples of pictures that a codec predicts
-    from both sides: lines are looked for in all, and what they are is taken from the others.
+    from both sides: lines are looked for in all, and what they are is taken from the others. codec: the changes of a
+    line that are not reported, as a codec may have made them.
     """
-    record = Record.of(values, times_s, noise, ends, chance)
+    record = Record.of(values, times_s, noise, ends, chance, codec)
     if record is None:
         return nothing(values)
     is_long = len(record.t) > LONG
@@ -107,6 +110,7 @@ def fit_lines(
     times_s: np.ndarray,
     at: Sequence[float] | Sequence[Line] | np.ndarray,
     noise: np.ndarray | float = 0.0,
+    codec: CodecChange | None = None,
 ) -> Lines:
     """One line for each of `at` [K], in their order.
 
@@ -114,7 +118,7 @@ def fit_lines(
     at the same times, keep their frequency and envelope. The other arguments are `find_lines`'. Raises ValueError for
     fewer than 12 samples, or than four for each line and eight.
     """
-    record = Record.of(values, times_s, noise, None)
+    record = Record.of(values, times_s, noise, None, codec=codec)
     if record is None or len(record.t) < 4 * len(at) + 8:
         raise ValueError(f"{len(times_s)} samples are too few for {len(at)} lines")
     lines = [line for line in at if isinstance(line, Line)]
@@ -282,7 +286,10 @@ def _simplest(
 
 
 def _settled(record: Record, shapes: list[LineShape]) -> list[LineShape]:
-    """Return the shapes with all decays tested: fitted where they exceed their deviation, else held at 0."""
+    """Return the shapes with all decays tested: fitted where they exceed their deviation, else held at 0.
+
+    What a codec may have made of a steady line must be exceeded, too.
+    """
     if not shapes:
         return shapes
     duration = float(np.ptp(record.t))
@@ -291,9 +298,10 @@ def _settled(record: Record, shapes: list[LineShape]) -> list[LineShape]:
     errors = covariances(record, free, phasors, record.levels(free, residual))
     sure = np.sqrt(chi2.isf(_SURE, 1))
     out = []
-    for s, c in zip(free, errors, strict=True):
+    for s, p, c in zip(free, phasors, errors, strict=True):
         lasting = duration - float(record.t[s.start] - record.t[0])
-        changes = abs(s.decay) > max(sure * np.sqrt(c[1, 1]), LEAST_CHANGE / lasting)
+        least, coded = LEAST_CHANGE / lasting, record.coded_change(s, p) / lasting
+        changes = abs(s.decay) > max(sure * np.sqrt(c[1, 1]) + coded, least)
         out.append(s if changes else replace(s, decay=0.0, is_free=False))
     return _refitted(record, out)
 

@@ -147,6 +147,22 @@ class Lines:
 
 
 @dataclass(frozen=True)
+class CodecChange:
+    """What a video's codec may let a steady line grow or fade by over the record, as a logarithm.
+
+    The share that it takes of a motion varies while it refines pictures: at most the share of detail that predicted
+    frames lack, and at most the power that they lack.
+    """
+
+    most: float = 0.0
+    size: float = np.inf  # amplitude of a line with that power, units of the values
+
+    def of(self, amplitude: float) -> float:
+        """Return it for a line of that amplitude."""
+        return min(self.most, 0.5 * float(np.log1p((self.size / max(amplitude, 1e-300)) ** 2)))
+
+
+@dataclass(frozen=True)
 class Record:
     """Values whitened over components: their noise has equal variance and is uncorrelated."""
 
@@ -156,6 +172,7 @@ class Record:
     known: np.ndarray  # [D] least standard deviation of the values
     ends: tuple[float, float]
     chance: float = 0.01  # that noise alone makes a line in it
+    codec: CodecChange = CodecChange()
 
     @staticmethod
     def of(
@@ -164,6 +181,7 @@ class Record:
         noise: np.ndarray | float,
         ends: tuple[float, float] | None,
         chance: float = 0.01,
+        codec: CodecChange | None = None,
     ) -> "Record | None":
         y = np.asarray(values, np.float64).reshape(len(values), -1)
         t = np.asarray(times_s, np.float64)
@@ -175,12 +193,18 @@ class Record:
         duration = float(np.ptp(t)) + step
         ends = ends or (LEAST_CYCLES / duration, 0.5 / step - 0.5 / duration)
         least = np.broadcast_to(np.asarray(noise, np.float64), y.shape[1:])
-        return Record(t, y, np.eye(y.shape[1]), least, ends, chance).whitened(())
+        own = codec or CodecChange()
+        return Record(t, y, np.eye(y.shape[1]), least, ends, chance, own).whitened(())
 
     def whitened(self, shapes: Sequence[LineShape]) -> "Record":
         """Return the record in units of the noise that these lines leave; a strong line hides it before it is found."""
         forth = _whitening(solved(shapes, self.t, self.y)[1] @ self.back, self.t, self.known)
         return replace(self, y=self.y @ self.back @ forth, back=np.linalg.inv(forth))
+
+    def coded_change(self, shape: LineShape, phasor: np.ndarray) -> float:
+        """Return what a codec may let a line with that shape and phasor [D] change by, as a logarithm."""
+        rms = float(np.sqrt((np.abs(shape.wave(self.t)) ** 2).mean()))
+        return self.codec.of(rms * float(np.linalg.norm(phasor @ self.back)))
 
     def levels(self, shapes: Sequence[LineShape], residual: np.ndarray) -> np.ndarray:
         """Return the variance [F, D] of the noise around each bin, from the residual."""
@@ -253,16 +277,17 @@ class Record:
         start = float(self.t[s.start]) if s.start else None
         errors = turn @ covariance @ turn.T
         strength = wald(phasor, covariance)
-        change = _change(s, free)
+        change = _change(s, free, self.coded_change(s, phasor))
         return Line(s.hz, s.decay, clock, errors, s.from_s(self.t), middle, start, change, strength, s.depth)
 
 
-def _change(s: LineShape, free: tuple[float, float]) -> str:
+def _change(s: LineShape, free: tuple[float, float], coded: float) -> str:
     if s.start:
         return "begins"
     if s.is_free:
         return "decays" if s.decay > 0 else "grows"
-    if s.modulation is not None and np.abs(s.modulation - 1).max() > LEAST_CHANGE:
+    varies = 0.0 if s.modulation is None else float(np.abs(s.modulation - 1).max())
+    if varies > max(LEAST_CHANGE, -np.expm1(-coded)):
         return "varies"
     return "steady" if abs(free[0]) + 2 * free[1] < 2 * LEAST_CHANGE else "untold"
 

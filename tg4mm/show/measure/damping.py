@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import get_window, welch
 
-from tg4mm.capture.codec import Loss
+from tg4mm.capture.codec.loss import LOST, Loss
 from tg4mm.core.lines import FEWEST, Line, fit_lines
 from tg4mm.show.measure.series import Series
 from tg4mm.show.measure.spectrum import Peak, orbit_of
@@ -52,9 +52,12 @@ def with_loss(found: Damping | None, whole: Loss, faded: Loss) -> Damping | None
     """Add the possible effect of compression on a decay to its deviation.
 
     Compression leaves a share g(a) of an amplitude a. Between a and a / e, which determine a decay, the decay is
-    overestimated by ln g(a) − ln g(a / e) of itself.
+    overestimated by ln g(a) − ln g(a / e) of itself. None where most of the amplitude is known to be lost: what is left
+    of a steady vibration may do anything.
     """
     gains = np.array([whole.gain, faded.gain])
+    if whole.gain < LOST:
+        return None
     if found is None or found.method == HALF_POWER or not np.isfinite(gains).all():
         return found
     false = abs(float(np.diff(np.log(np.maximum(gains, _LEAST_GAIN)))[0]))

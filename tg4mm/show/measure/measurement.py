@@ -7,7 +7,9 @@ from itertools import count
 
 import numpy as np
 
+from tg4mm.capture.codec import coded_change
 from tg4mm.capture.look import LookSummary
+from tg4mm.core.lines import CodecChange
 from tg4mm.core.magnification import check_band
 from tg4mm.core.progress import progress
 from tg4mm.core.regions import Scale
@@ -16,7 +18,7 @@ from tg4mm.fit.motion.observations import check_band_resolved
 from tg4mm.run import Run
 from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.show.measure.clusters import Clusters, clusters_of
-from tg4mm.show.measure.flat import flat_sensors
+from tg4mm.show.measure.flat import FlatSensor, flat_sensors
 from tg4mm.show.measure.limits import limits_of, with_losses
 from tg4mm.show.measure.locate import (
     OF_ONE_CAMERA,
@@ -30,7 +32,7 @@ from tg4mm.show.measure.locate import (
 from tg4mm.show.measure.prepared import prepare
 from tg4mm.show.measure.residuals import MeasuredView
 from tg4mm.show.measure.rigid import RigidBody, equations_of
-from tg4mm.show.measure.scene import Prepared, SharedClock, clock_phases
+from tg4mm.show.measure.scene import GreyPictures, Prepared, SharedClock, clock_phases
 from tg4mm.show.measure.sensor_result import SensorResult, relation_of
 from tg4mm.show.measure.sensors import MeasureError, Sensor, checked_names
 from tg4mm.show.measure.series import Series, series_of, shared_error, with_model_error
@@ -187,10 +189,20 @@ def _flat_results(
     with progress("sensors", len(wanted), "sensors", brief=True) as update:
         done = count(1)
         found = flat_sensors(scene, wanted, clusters, lambda: update(next(done)))
-    return [
-        replace(_result(scene, sensor, own.body, [own.series], None), mask=own.mask, motion=own.motion)
-        for sensor, own in zip(wanted, found, strict=True)
-    ]
+    pictures, out = scene.observations.pictures, []
+    for sensor, own in zip(wanted, found, strict=True):
+        result = _result(scene, sensor, own.body, [own.series], None)
+        if isinstance(pictures, GreyPictures):
+            result = replace(result, codec=_codec_change(own, pictures.kinds, result.px_per_unit))
+        out.append(replace(result, mask=own.mask, motion=own.motion))
+    return out
+
+
+def _codec_change(own: FlatSensor, kinds: np.ndarray, px_per_unit: float) -> CodecChange:
+    """Return what compression may change a line of a region by, for motion across its weakest texture."""
+    found = coded_change(own.motion.misfit, kinds)
+    slope = np.linalg.eigvalsh(own.motion.normals.sum(0)[:2, :2])[0] / float(own.mask.sum())
+    return replace(found, size=found.size * np.sqrt(2 / max(slope, 1e-12)) / px_per_unit)
 
 
 def _series(
@@ -234,7 +246,10 @@ def _result(
     best = int(np.argmax(scales))
     b_frames = scene.b_frames if len(series) == 1 else None
     period = scene.observations.codec_period or (None if scene.video is None else USUAL_PERIOD)
-    return SensorResult(sensor, body, tuple(series), scales[best], frames[best].name, clips, period, b_frames)
+    codec = None if scene.found is None else CodecChange(scene.found.coded_change)
+    return SensorResult(
+        sensor, body, tuple(series), scales[best], frames[best].name, clips, period, b_frames, codec
+    )
 
 
 def region_sensors(scene: Prepared, found: LookSummary) -> list[Sensor]:

@@ -10,7 +10,7 @@ from scipy.signal import csd, welch
 from tg4mm.capture.codec import Loss
 from tg4mm.capture.tracking.region import RegionMotion
 from tg4mm.core.even_clock import is_filled, on_even_clock
-from tg4mm.core.lines import Line, fit_lines
+from tg4mm.core.lines import CodecChange, Line, fit_lines
 from tg4mm.core.lines.band import BandLine, tone_in
 from tg4mm.show.measure.clips import Together
 from tg4mm.show.measure.damping import Damping, damping_of, with_loss
@@ -93,6 +93,7 @@ class SensorResult:
     together: Together | None = None  # of clips
     codec_period: int | None = None  # frames, of the video's compression
     b_frames: np.ndarray | None = None  # [T] bool: frames that the codec predicts from both sides
+    codec: CodecChange | None = None  # what compression may change a steady line by
     losses: tuple[Loss, ...] = ()  # for every peak, the part that compression let through; () if not tested
     # the same for decaying peaks when they are weaker by a factor e; () where nothing decays
     faded: tuple[Loss, ...] = ()
@@ -171,7 +172,9 @@ class SensorResult:
             found = self.together.spectrum
         else:
             own = self.series
-            found = spectrum_of(own.times_s, own.displacement, own.noise, own.model_share, self.b_frames)
+            found = spectrum_of(
+                own.times_s, own.displacement, own.noise, own.model_share, self.b_frames, self.codec
+            )  # fmt: skip
             if self.band is not None:
                 found = with_band(found, self.band, own.times_s, own.displacement, own.noise, own.model_share)
             found = replace(found, peaks=tuple(replace(p, correlation=own.correlation) for p in found.peaks))

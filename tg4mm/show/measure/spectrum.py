@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tg4mm.core.lines import Line, Lines, find_lines
+from tg4mm.core.lines import CodecChange, Line, Lines, find_lines
 from tg4mm.core.lines.band import BandLine, tone_in
 
 CHANCE = 0.01  # that noise alone exceeds the floor anywhere
@@ -198,17 +198,20 @@ def spectrum_of(
     deviation: np.ndarray,
     model_share: np.ndarray | None = None,
     b_frames: np.ndarray | None = None,
+    codec: CodecChange | None = None,
 ) -> Spectrum:
     """Return the spectrum of values [T, A] with noise of deviations [T, A] at times [T], even or uneven.
 
     model_share [A]: standard deviation of errors that grow with the motion, over its length; part of the peaks'
-    deviations. between [T] bool: B-frames (`core.lines`).
+    deviations. b_frames [T] bool and codec: as for `find_lines`.
     """
     grid = frequency_grid(times_s)
     is_seen = np.isfinite(deviation).all(0)
     values = np.where(is_seen, values, 0.0)
     known = np.sqrt((deviation[:, is_seen] ** 2).mean(0))
-    found = find_lines(values[:, is_seen], times_s, known, b_frames=b_frames) if is_seen.any() else None
+    found = None
+    if is_seen.any():
+        found = find_lines(values[:, is_seen], times_s, known, b_frames=b_frames, codec=codec)
     floor = np.full((len(grid), len(is_seen)), np.inf)
     factor = float(rayleigh(times_s, np.ones((len(times_s), 1)))[0]) * floor_factor(len(times_s))
     floor[:, is_seen] = factor * (known if found is None else np.maximum(known, _levels(found, grid)))

@@ -9,7 +9,7 @@ import numpy as np
 from tg4mm.capture import Capture
 from tg4mm.core.choices import Kind
 from tg4mm.core.digits import value_with_deviation
-from tg4mm.core.lines import FEWEST, Line, find_lines, fit_lines, projected
+from tg4mm.core.lines import FEWEST, CodecChange, Line, find_lines, fit_lines, projected
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import CLEAR_PERIODS
 
@@ -228,11 +228,12 @@ def line_near(
     others: Sequence[float],
     noise: float,
     b_frames: np.ndarray | None = None,
+    codec: CodecChange | None = None,
 ) -> Line | None:
     """Return the line of a series [T] to which a mode at `hz` belongs; None if the record is too short.
 
     others: frequencies of other vibrations. noise: standard deviation of the series' noise over its rms, at least.
-    between [T] bool: frames that the codec predicts from both sides.
+    b_frames [T] bool and codec: as for `find_lines`.
     """
     n = len(series)
     times = np.arange(n) / fps
@@ -241,12 +242,12 @@ def line_near(
         return None
     near = [
         (abs(line.hz - hz), line)
-        for line in find_lines(series, times, least, b_frames=b_frames).lines
+        for line in find_lines(series, times, least, b_frames=b_frames, codec=codec).lines
         if abs(line.hz - hz) < max(fps / n, abs(line.decay_per_s) / np.pi)
     ]
     if near:
         return min(near, key=lambda pair: pair[0])[1]
-    return fit_lines(series, times, [hz, *others], least).lines[0]
+    return fit_lines(series, times, [hz, *others], least, codec).lines[0]
 
 
 def phasors_at(motion: ModalMotion, line: Line, b_frames: np.ndarray | None = None) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 
 from tg4mm.capture.look import LookSummary
 from tg4mm.core.choices import Kind
+from tg4mm.core.lines import CodecChange
 from tg4mm.core.lines.band import FEWEST, BandLine, tone_in
 from tg4mm.fit.motion.config import asked_band
 from tg4mm.fit.motion.mode_selection import peaks
@@ -257,7 +258,8 @@ def _found(reading: ResultSources, motion: ModalMotion) -> list[ModePeak]:
 def _line(reading: ResultSources, motion: ModalMotion, hz: float, others: list[float]) -> ModePeak:
     series = series_of(motion, motion.displacement[_index(motion, hz)], reading.seen.weights)
     noise = float(reading.log.get("noise_to_motion") or 0.0)
-    line = line_near(series, motion.fps, hz, others, noise, reading.b_frames)
+    codec = None if reading.look is None else CodecChange(reading.look.coded_change)
+    line = line_near(series, motion.fps, hz, others, noise, reading.b_frames, codec)
     if line is None:  # a bin, uniformly distributed
         return ModePeak(hz, hz, 1 / (reading.duration_s * np.sqrt(12)), None)
     return ModePeak(hz, line.hz, at_least_seen(line.hz, line.hz_deviation, look_of(reading.run)), line)
