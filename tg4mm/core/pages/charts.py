@@ -77,7 +77,7 @@ def chart(
 
     with matplotlib.rc_context(_CONTEXT):
         figure = Figure(figsize=size, layout="constrained")
-        FigureCanvasSVG(figure)
+        canvas = FigureCanvasSVG(figure)
         draw(figure.subplots())
         for one in figure.axes:
             one.set_title(one.get_title("left"), loc="left", fontsize=9, color=MUTED)
@@ -85,7 +85,7 @@ def chart(
                 legend.set_loc("lower right")
                 legend.set_bbox_to_anchor((1.0, 1.06), transform=one.transAxes)
         data = io.StringIO()
-        figure.savefig(data, format="svg", metadata={"Date": None, "Creator": None})
+        canvas.print_svg(data, metadata={"Date": None, "Creator": None})  # `savefig` would draw twice
     numbers = curves(figure.axes[0], _VARIABLES) if zooms else Markup("")
     return _inline(data.getvalue(), label) + numbers
 
