@@ -93,9 +93,12 @@ def test_its_scores_are_what_the_example_does(joined):
     assert 0.2 < line["alphas"]["5"]["gain"] < 0.98
 
 
-def run_linear(data, out, *more):
-    """Exit status and results of the quickest method."""
-    status = main(["bench", "scenes", str(data), *more, "--out", str(out), "--methods", "linear-2d"])
+def run_linear(data, out, *more, page=False):
+    """Exit status and results of the quickest method; without the page, which takes longest."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not page:
+            patch.setattr("tg4mm.research.bench.scenes.write_page", lambda *_: None)
+        status = main(["bench", "scenes", str(data), *more, "--out", str(out), "--methods", "linear-2d"])
     return status, json.loads((out / "results.json").read_text(encoding="utf-8"))
 
 
@@ -213,7 +216,7 @@ def test_methods_join_a_dataset_of_exr_pictures_by_png(data, tmp_path):
         with exr.File({"type": exr.scanlineimage}, channels) as file:
             file.write(str(path.with_suffix(".exr")))
         path.unlink()
-    status, results = run_linear(own, tmp_path / "out", "--external", f"theirs={theirs}")
+    status, results = run_linear(own, tmp_path / "out", "--external", f"theirs={theirs}", page=True)
     assert status == 0
     lines = {line["row"]: line["alphas"] for line in results["lines"]}
     assert lines["linear-2d"]["0"]["ssim"] == pytest.approx(1, abs=1e-3)

@@ -129,10 +129,11 @@ def _style(row: str, rows: list[str]) -> dict[str, Any]:
 def svg(figure: Any) -> str:
     """Return the drawing, always with the same bytes."""
     import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     with matplotlib.rc_context({"svg.hashsalt": "tg4mm", "svg.fonttype": "none", "font.size": 10}):
         buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
+        FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})  # `savefig` would draw twice
     return buffer.getvalue()
 
 
@@ -167,10 +168,10 @@ def write_results(out: Path, results: Mapping[str, Any]) -> None:
 
 
 def write_page(out: Path, results: Mapping[str, Any]) -> Path:
-    """Write OUT/results.html, and figures, from results.json's content and the pictures in OUT/runs; returns it."""
+    """Write OUT/results.html, and figures, after `write_results`, with the pictures in OUT/runs; returns it."""
     sections: list[Section] = []
-    for group in groups_of(results):
-        sections.append(Section(f"Scores, {group}", list(_scores(results, group))))
+    for i, group in enumerate(groups_of(results), 1):
+        sections.append(Section(f"Scores, {group}", list(_scores(out, results, i, group))))
         sections += shown_sections(out, results, group)
     sections += [Section(made.title, [_block(made)]) for made in kinds_tables(results)]
     left_out, note = markdown.failures(results), Markup('<p class="note">Left out:</p>{}')
@@ -234,15 +235,15 @@ def _list(lines: Sequence[str]) -> Markup:
     return Markup("<ul>{}</ul>").format(items)
 
 
-def _scores(results: Mapping[str, Any], group: str) -> Iterator[Block]:
+def _scores(out: Path, results: Mapping[str, Any], i: int, group: str) -> Iterator[Block]:
     yield Text(markdown.sets_line(results, group))
     speed = "Size of the trained model, and speed of posing and rendering."
-    for drawn, caption, width in (
-        (over_alpha(results, group), "Means over the sets. Grey: rows for comparison.", "wide"),
-        (size_and_speed(results, group), speed, "narrow"),
+    for name, caption, width in (
+        (f"results_{i}.svg", "Means over the sets. Grey: rows for comparison.", "wide"),
+        (f"results_{i}_size.svg", speed, "narrow"),
     ):
-        if drawn is not None:
-            source = data_uri("image/svg+xml", drawn.encode())
+        if (out / name).exists():
+            source = data_uri("image/svg+xml", (out / name).read_bytes())
             yield Figure([FigurePanel("img", source=source, alt=caption)], caption, width=width)
     for made in (*tables_of(results, group), full_table(results, group)):
         yield _block(made)
