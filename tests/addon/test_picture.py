@@ -89,7 +89,7 @@ def test_picture_agrees_with_the_core(extension, tmp_path, draw, iou, difference
     camera = add_camera((2.6, -2.2, 1.4), (SIZE, SIZE))
     bpy.ops.tg4mm.true_colours()
     bpy.context.scene.frame_set(FRAME)
-    render_cycles(tmp_path / "ball.png", samples=24, clear=True)
+    render_cycles(tmp_path / "ball.png", samples=12, clear=True)
     picture = np.asarray(Image.open(tmp_path / "ball.png"), dtype=float) / 255
     truth = rasterized(splat, camera)
     assert overlap(picture, truth) > iou
