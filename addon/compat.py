@@ -99,11 +99,6 @@ def input_path(modifier: Any, name: str) -> str:
     return f'modifiers["{bpy.utils.escape_identifier(modifier.name)}"]{tail}'
 
 
-def key_input(modifier: Any, name: str, frame: float) -> None:
-    """Insert a key of a modifier's input at `frame`."""
-    modifier.id_data.keyframe_insert(input_path(modifier, name), frame=frame)
-
-
 def native_splats() -> bool:
     """Return whether Blender itself draws point clouds of Gaussian splats (5.3 and later)."""
     return hasattr(bpy.types, "GeometryNodePointsSetType")

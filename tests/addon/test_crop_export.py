@@ -224,7 +224,7 @@ def test_a_sequence_has_a_file_for_each_frame_and_comes_back(extension, splat_pa
     modifier = drawn_whole(extension, obj)
     for frame, alpha in ((3, 0.0), (6, 30.0)):  # a key in magnification is followed
         extension.compat.set_input(modifier, extension.names.ALPHA, alpha)
-        extension.compat.key_input(modifier, extension.names.ALPHA, frame)
+        obj.keyframe_insert(extension.compat.input_path(modifier, extension.names.ALPHA), frame=frame)
     scene.frame_set(20)
     bpy.ops.export_scene.tg4mm_splat(filepath=str(folder / "bell.ply"), content="SEQUENCE")
     files = sorted(folder.iterdir())

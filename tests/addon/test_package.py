@@ -48,7 +48,7 @@ compat.set_input(modifier, names.DRAW, "Ellipsoids")
 compat.set_input(modifier, names.MIN_OPACITY, 0.0)
 for frame, alpha in ((1, 3.0), (6, 3.0), (7, 8.0), (8, 8.0)):
     compat.set_input(modifier, names.ALPHA, alpha)
-    compat.key_input(modifier, names.ALPHA, frame)
+    bpy.context.object.keyframe_insert(compat.input_path(modifier, names.ALPHA), frame=frame)
 bpy.ops.wm.save_as_mainfile(filepath=blend_path)
 import dataset_gen, tg4mm
 heavy = sorted({"torch", "PIL", "plyfile", "scipy"} & set(sys.modules))

@@ -161,9 +161,9 @@ def device_option() -> Any:
     return option(Device.cpu, "cuda needs an NVIDIA GPU and the extra `cuda` (gsplat).")
 
 
-def bands_option(about: str = "") -> Any:
+def bands_option() -> Any:
     """Return the option --band of commands that magnify: bands, or None for `auto`."""
-    about = about or (
+    about = (
         "Magnify only frequencies LO ≤ f ≤ HI, Hz; may be repeated. auto: a band around the strongest vibration. "
         "[default: all]"
     )

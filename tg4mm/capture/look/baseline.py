@@ -32,10 +32,9 @@ class BaselineMisfit:
         """Return [C]: logarithm of the typical misfit over the baseline one."""
         return np.asarray(np.log(self.typical / self.level))
 
-    def stand_out(self, typical: np.ndarray | None = None) -> np.ndarray:
-        """Bool: misfits that are far from baseline, the cells' own [C] if none are given."""
-        excess = self.excess if typical is None else np.log(typical / self.level)
-        return np.asarray(excess > max(np.log(_CORE), _CORE_SPREADS * self.spread))
+    def stand_out(self) -> np.ndarray:
+        """Return [C] bool: misfits that are far from baseline."""
+        return np.asarray(self.excess > max(np.log(_CORE), _CORE_SPREADS * self.spread))
 
 
 def baseline_of(

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -96,12 +96,12 @@ def write_text(path: Path, text: str) -> None:
     write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def circumstances(command: Sequence[str] | None = None) -> dict[str, Any]:
+def circumstances() -> dict[str, Any]:
     """Return machine, time and versions of the figures, for a page's origin."""
     import torch
 
     return {
-        "command": shlex.join(command if command is not None else ["tg4mm", *sys.argv[1:]]),
+        "command": shlex.join(["tg4mm", *sys.argv[1:]]),
         "date": time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
         "tg4mm": _version(),
         "python": platform.python_version(),

@@ -163,12 +163,7 @@ def continued(values: np.ndarray) -> np.ndarray:
     return np.concatenate([2 * values[0] - values[:0:-1], values, 2 * values[-1] - values[-2::-1]])
 
 
-def levels_of(
-    channel: Channel,
-    quantity: str,
-    band: tuple[float, float] | None = None,
-    db_reference: float | None = None,
-) -> Levels:
+def levels_of(channel: Channel, quantity: str, band: tuple[float, float] | None = None) -> Levels:
     """Return peak, peak to peak, rms, crest factor and dB of a channel as `quantity`, without the record's ends."""
     operator = _BandOperator(channel, quantity, band, _UP if len(channel.values) <= _LONGEST else 1)
     noise = float(np.nan_to_num(channel.noise))
@@ -189,7 +184,7 @@ def levels_of(
         Value(float(v), float(d)) for v, d in zip(found, deviation, strict=True)
     )
     unit = unit_of(quantity, channel.base)
-    reference = db_reference or (DB_REFERENCE[quantity] if channel.base == "mm" else 1.0)
+    reference = DB_REFERENCE[quantity] if channel.base == "mm" else 1.0
     if rms.value > 2 * np.nan_to_num(rms.deviation):
         per_rms = 20 / np.log(10) / rms.value
         db = Value(20 * float(np.log10(rms.value / reference)), float(per_rms * rms.deviation))

@@ -87,14 +87,13 @@ class Density:
     freedom: float
 
 
-def density_of(channel: Channel, averaging: Averaging | None = None, confidence: float = 0.95) -> Density:
-    """Return the power spectral density of a channel."""
+def density_of(channel: Channel, averaging: Averaging | None = None) -> Density:
+    """Return the power spectral density of a channel, with 95 % intervals."""
     averaging = averaging or Averaging()
     length, shared = averaging.cut(channel)
     freqs, power = welch(channel.values, channel.rate, averaging.window, length, shared)
     freedom = averaging.freedom(channel)
-    tail = (1 - confidence) / 2
-    low, high = freedom / chi2.isf(tail, freedom), freedom / chi2.ppf(tail, freedom)
+    low, high = freedom / chi2.isf(0.025, freedom), freedom / chi2.ppf(0.025, freedom)
     noise = 2 * channel.noise**2 / channel.rate
     return Density(
         channel.name, f"({channel.unit})²/Hz", freqs, power, power * low, power * high, noise,

@@ -278,7 +278,7 @@ def _views(
     views = rest_views(scene.gaussians, scene.observations)
     nuisances = nuisances_of(views, frames, scene.gaussians.means.numpy(), active[0])
     is_shared = scene.observations.clock == Clock.synchronous
-    halves = halves_of(len(frames) if is_shared else 1, True)
+    halves = halves_of(len(frames) if is_shared else 1)
     return [
         MeasuredView(
             view, own, replace(nuisance, active=active[v]), means[v], np.ones(means[v].shape[:2], np.float32),

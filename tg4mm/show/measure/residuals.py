@@ -77,9 +77,9 @@ class MeasuredView:
             yield half, ObservationModel.of(self.frames, self.nuisance, self.mean, self.masked(half))
 
 
-def halves_of(n_views: int, is_fixed: bool) -> list[tuple[int, ...]]:
-    """Assign the views of one clock to the halves of the data: alternately, or few views to both, by squares."""
-    if is_fixed and n_views >= LEAST:
+def halves_of(n_views: int) -> list[tuple[int, ...]]:
+    """Assign the fixed views of one clock to the halves of the data: alternately, or few views to both, by squares."""
+    if n_views >= LEAST:
         return [(k % HALVES,) for k in range(n_views)]
     return [(0, 1)] * n_views
 

@@ -44,7 +44,7 @@ class FirstPicture:
     texture: Texture
 
 
-def shots_of(path: Path, fps: float | None = None) -> list[FirstPicture]:
+def shots_of(path: Path) -> list[FirstPicture]:
     """Return the pictures of a video, a folder of numbered pictures, or a dataset.
 
     Raises CaptureError for anything else.

@@ -197,10 +197,7 @@ class PlaybackClock:
         return replace(self, offset=min(max(seconds, 0.0), self.duration), since=now)
 
 
-def slow_enough(frequency_hz: float, cycles_per_second: float = 3.0) -> float:
-    """Return a round speed, at most 1, at which `frequency_hz` shows at most so many cycles a second.
-
-    The default leaves eight of 24 pictures a second for a cycle.
-    """
+def slow_enough(frequency_hz: float) -> float:
+    """Return a round speed, at most 1, that leaves a cycle of `frequency_hz` eight of 24 pictures a second."""
     speeds = (1.0, 0.5, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01)
-    return next((s for s in speeds if s * frequency_hz <= cycles_per_second), speeds[-1])
+    return next((s for s in speeds if s * frequency_hz <= 3.0), speeds[-1])
