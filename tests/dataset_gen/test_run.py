@@ -153,7 +153,7 @@ def test_with_a_part_missing_it_is_not_complete(tmp_path):
 
 def test_a_hand_held_camera_makes_a_set_that_reads(tmp_path):
     capture = pytest.importorskip("tg4mm.capture")
-    options = (
+    options = [
         "--cameras",
         "handheld",
         "--timesteps",
@@ -164,8 +164,8 @@ def test_a_hand_held_camera_makes_a_set_that_reads(tmp_path):
         "100",
         "--size",
         "24",
-    )
-    root = generate(tiny(*options), tmp_path, 2, io.StringIO())
+    ]
+    root = generate(tiny(*options), tmp_path, 1, io.StringIO())
     found = capture.load_capture(root, split="train")
     assert found.n_timesteps == len(found) == 3
 

@@ -20,6 +20,7 @@ SHIFT, TURN = np.array([0.01, 0.0, 0.005]), np.array([0.0, 0.004, 0.0])
 FIELD = np.where(MOVES[:, None], SHIFT + np.cross(TURN, MEANS), 0.0).astype(complex)
 
 
+@pytest.mark.slow
 def test_the_motion_of_the_scene_is_found_though_poses_are_off():
     gaussians, motion = scene(FREQUENCY)
     fit = fit_motion(gaussians, walk(gaussians, motion, 90, tremor=1e-3), MotionConfig(appearance=False))

@@ -14,6 +14,7 @@ import numpy as np
 from tg4mm.core.splatfile.formula import y_up
 from tg4mm.core.splatfile.ply import replacing
 
+from ...core.colour import to_linear
 from ...core.errors import SplatFileError
 from ...core.splatfile.model import SplatFile
 
@@ -98,8 +99,7 @@ def _content(splat: SplatFile, alphas: np.ndarray) -> bytes:
 def _attributes(splat: SplatFile, buffer: _Buffer) -> dict[str, int]:
     quats = splat.quats.astype(np.float64)
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    colour = np.clip(splat.sh[:, 0].astype(np.float64) * _C0 + 0.5, 0, 1)
-    linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+    linear = to_linear(splat.sh[:, 0].astype(np.float64) * _C0 + 0.5)
     attributes = {
         "POSITION": buffer.add(splat.means, bounds=True),
         "COLOR_0": buffer.add(np.column_stack([linear, splat.opacities])),  # for viewers that show points
