@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import bpy
@@ -21,21 +22,14 @@ def _length(name: str, text: str, default: float, least: float = 0.0) -> Any:
     )  # fmt: skip
 
 
-def _place(name: str, text: str, default: tuple[float, float, float]) -> Any:
+def _vector(name: str, text: str, default: tuple[float, float, float], subtype: str, digits: int) -> Any:
     return props.FloatVectorProperty(
-        name=name,
-        description=text,
-        default=default,
-        size=3,
-        subtype="TRANSLATION",
-        precision=4,
+        name=name, description=text, default=default, size=3, subtype=subtype, precision=digits
     )
 
 
-def _heading(name: str, text: str, default: tuple[float, float, float]) -> Any:
-    return props.FloatVectorProperty(
-        name=name, description=text, default=default, size=3, subtype="XYZ", precision=3
-    )
+_place = partial(_vector, subtype="TRANSLATION", digits=4)
+_heading = partial(_vector, subtype="XYZ", digits=3)
 
 
 class TG4MM_moving_object(bpy.types.PropertyGroup):

@@ -1,6 +1,7 @@
 """A short notation for creating and linking the nodes of one tree."""
 
 from collections.abc import Sequence
+from functools import partial, reduce
 from types import TracebackType
 from typing import Any
 
@@ -93,21 +94,18 @@ class Graph:
 
     def both(self, *conditions: Value) -> Any:
         """True where all conditions are."""
-        total = conditions[0]
-        for condition in conditions[1:]:
-            total = self._operate("FunctionNodeBooleanMath", "AND", (total, condition))
-        return total
+        return reduce(partial(self._logic, "AND"), conditions)
 
     def either(self, *conditions: Value) -> Any:
         """True where any condition is."""
-        total = conditions[0]
-        for condition in conditions[1:]:
-            total = self._operate("FunctionNodeBooleanMath", "OR", (total, condition))
-        return total
+        return reduce(partial(self._logic, "OR"), conditions)
 
     def opposite(self, condition: Value) -> Any:
         """True where the condition does not hold."""
-        return self._operate("FunctionNodeBooleanMath", "NOT", (condition,))
+        return self._logic("NOT", condition)
+
+    def _logic(self, operation: str, *conditions: Value) -> Any:
+        return self._operate("FunctionNodeBooleanMath", operation, conditions)
 
     def compare(self, operation: str, a: Value, b: Value, data_type: str = "FLOAT") -> Any:
         inputs = {"A": a, "B": b}
