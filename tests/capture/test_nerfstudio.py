@@ -197,27 +197,22 @@ class TestTimes:
 
         edit(studio / "transforms.json", change)
 
-    @pytest.mark.parametrize("times", [[0.0, 0.5, 1.0], [4.0, 4.1, 4.2]])
-    def test_the_rate_makes_them_timesteps(self, studio, times):
+    @pytest.mark.parametrize(
+        ("times", "timesteps", "ticks"),
+        [
+            ([0.0, 0.5, 1.0], [0, 1, 2], [0, 1, 2]),
+            ([4.0, 4.1, 4.2], [0, 1, 2], [0, 1, 2]),
+            ([0.0, 0.25, 1.0], [0, 1, 4], [0, 1, 4]),  # a gap is timesteps without pictures
+            ([0.0, 0.1, 0.1], [0, 1, 1], [0, 1, 1]),
+            ([0.0, 0.25, 0.6], [0, 1, 2], [0, 0.25 / 0.3, 2]),  # uneven: the median step is the rate's
+        ],
+    )
+    def test_the_rate_makes_them_timesteps(self, studio, times, timesteps, ticks):
         self.timed(studio, times, fps=10.0)
         capture = load_capture(studio)
-        assert (capture.n_timesteps, capture.fps) == (3, 10.0)
-        assert capture.timesteps.tolist() == [0, 1, 2]
-        np.testing.assert_allclose(capture.times_s, [0, 0.1, 0.2])
-
-    def test_a_gap_is_a_timestep_without_pictures(self, studio):
-        self.timed(studio, [0.0, 0.25, 1.0], fps=30.0)
-        capture = load_capture(studio)
-        assert (capture.n_timesteps, capture.timesteps.tolist()) == (5, [0, 1, 4])
-        self.timed(studio, [0.0, 0.1, 0.1], fps=30.0)
-        assert load_capture(studio).timesteps.tolist() == [0, 1, 1]
-
-    def test_uneven_times_are_those_of_the_frames(self, studio):
-        """Steps of .25 and .35: three timesteps, whose median step is the rate's."""
-        self.timed(studio, [0.0, 0.25, 0.6], fps=30.0)
-        capture = load_capture(studio)
-        assert (capture.n_timesteps, capture.timesteps.tolist()) == (3, [0, 1, 2])
-        np.testing.assert_allclose(capture.times_s, np.array([0.0, 0.25, 0.6]) / 0.3 / 30)
+        assert (capture.n_timesteps, capture.fps) == (timesteps[-1] + 1, 10.0)
+        assert capture.timesteps.tolist() == timesteps
+        np.testing.assert_allclose(capture.times_s, np.array(ticks) / 10)
 
     def test_without_a_rate_they_are_refused(self, studio):
         self.timed(studio, [0.0, 0.5, 1.0])
