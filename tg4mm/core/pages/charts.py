@@ -226,10 +226,15 @@ def pyplot() -> Iterator[Any]:
 
 def save(plt: Any, figure: Any, paths: Sequence[Path], dpi: int = 120) -> None:
     """Write a figure to the files, PNG or SVG by their suffixes, and close it."""
-    for path in paths:
-        ending = path.suffix[1:].lower()
-        metadata = {"Date": None} if ending == "svg" else None
-        write_atomic(path, partial(figure.savefig, format=ending, dpi=dpi, metadata=metadata))
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    figure.set_dpi(dpi)
+    for path in paths:  # `savefig` would draw twice
+        if path.suffix.lower() == ".svg":
+            write_atomic(path, partial(FigureCanvasSVG(figure).print_svg, metadata={"Date": None}))
+        else:
+            write_atomic(path, FigureCanvasAgg(figure).print_png)
         figure.set_layout_engine("none")  # the first file has laid it out
     plt.close(figure)
 
