@@ -17,6 +17,7 @@ _LABELS = {
     "cycles.transparent_max_bounces": "Cycles bounces",
     "cycles.min_transparent_bounces": "",
     "cycles.samples": "Cycles samples",
+    "eevee.taa_samples": "EEVEE view samples",
     "eevee.taa_render_samples": "EEVEE samples",
     "display.render_aa": "Workbench samples",
     "display.shading.light": "Workbench light",

@@ -96,7 +96,9 @@ def draw_look(layout: Any, context: Any) -> None:
         layout.label(text=f"{', '.join(blind)}: works on meshes only", icon="INFO")
         layout.operator("tg4mm.one_mesh", icon="MESH_DATA")
     if drawn.soft and not drawn.native and names.LOW_PASS not in obj:
-        layout.label(text="No low-pass in file: thin parts may show gaps", icon="INFO")
+        column = layout.column(align=True)
+        column.label(text="No low-pass in this file:", icon="INFO")
+        column.label(text="thin parts may show gaps", icon="BLANK1")
     on = look.is_exact(obj)
     layout.operator("tg4mm.exact_look", icon="SHADING_RENDERED", depress=on).on = not on
     on = blending.blends_as_trained(context.scene)
@@ -124,7 +126,7 @@ def draw_details(layout: Any, context: Any) -> None:
         compat.draw_input(column, modifier, names.VIEW_COLOUR, text="View Colours")
 
 
-@_ui.panel("VIEW3D_PT_tg4mm_import", "Changed by Import", on_splats, TAB)
+@_ui.panel("VIEW3D_PT_tg4mm_import", "Changed by Import", on_splats, TAB, order=9)
 def draw_import(layout: Any, context: Any) -> None:
     """Settings that the import changed in this scene, and the up axis of the file"""
     obj = scene.splat_object(context)
@@ -136,7 +138,7 @@ def draw_import(layout: Any, context: Any) -> None:
     if changed:
         layout.operator("tg4mm.restore_picture", icon="LOOP_BACK")
     row = layout.row(align=True)
-    row.label(text="Up in the file")
+    row.label(text="Up Axis")
     for up, label in axes.LABELS.items():
         row.operator("tg4mm.up", text=label, depress=obj.get(names.AXES, axes.FILE) == up).axes = up
 

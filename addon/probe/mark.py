@@ -1,15 +1,12 @@
 """The mark in the 3D view at the point that the probe took."""
 
-from dataclasses import replace
 from typing import Any
 
 import bpy
 import numpy as np
 
-from .. import compat, names
-from ..nodes import clock, points, scene
-from ..panels import analysis
-from . import picking, probe
+from ..nodes import points, scene
+from . import picking
 
 COLOUR, RADIUS = (1.0, 0.55, 0.1, 1.0), 9.0  # pixels, at a resolution scale of 1
 _handler: Any = None
@@ -20,12 +17,7 @@ def place(scene_: Any, obj: Any) -> np.ndarray | None:
     found = picking.stored(obj)
     if found is None or not found.place:
         return None
-    modifier, magnified = scene.splat_modifier(obj), analysis.active_modes(obj)
-    alpha = compat.get_number(modifier, names.ALPHA)
-    played = [compat.get_input(modifier, name) for name in names.toggles(obj[names.FREQUENCIES])]
-    gains = [on * (1 + alpha * (k in magnified)) for k, on in enumerate(played)]
-    shown = replace(found, phasors=np.array(gains)[:, None] * found.phasors)
-    moved = probe.displacement_at(shown, np.array([clock.timestep(scene_, obj, modifier) / found.fps]))[0]
+    moved = (picking.shown_weights(scene_, obj)[:, None] * found.phasors).real.sum(axis=0)
     applied, world = points.applied(obj.data), np.array(obj.matrix_world)
     inner = np.append(np.array(found.place) + moved, 1.0)
     return np.asarray((world @ (inner if applied is None else applied @ inner))[:3])

@@ -19,7 +19,7 @@ from .probe import Probe, phasor_csv, series_csv
 MOST_ROWS = 5_000_000  # of a series: some 300 MB
 _ABOUT = {
     "SELECTION": "Read the points selected in Edit Mode; of several the mean, weighted by opacity",
-    "CURSOR": "Read the drawn Gaussian whose rest position is nearest to the 3D cursor",
+    "CURSOR": "Read the Gaussian that is drawn nearest to the 3D cursor in this frame",
     "SPHERE": "Read all Gaussians that rest inside the sphere empty; their mean, weighted by opacity",
 }
 
@@ -39,7 +39,7 @@ def probe(operator: Any, context: Any) -> str:
     if operator.source == "SELECTION":
         found = picking.probe_selection(obj)
     elif operator.source == "CURSOR":
-        found = picking.probe_cursor(obj, context.scene.cursor.location)
+        found = picking.probe_cursor(context.scene, obj)
     else:
         found = picking.probe_spheres(obj, picking.spheres_of(obj, context.selected_objects))
     picking.store(obj, found)

@@ -15,7 +15,8 @@ from .. import compat, names, preferences
 from ..declare import TAB, Declared, on_motion
 from ..nodes import clock, drawing, points, scene
 from ..nodes.points import gaussians, shown_size, values, world
-from ..panels import framing, pictures, plots
+from ..nodes.shapes import DRAW_MODES
+from ..panels import analysis, framing, pictures, plots
 from ..units import Unit
 from . import probe
 from .probe import Probe, mean_deviation, mean_phasor
@@ -43,10 +44,34 @@ def probe_selection(obj: Any) -> Probe:
         return _read(obj, mesh, np.flatnonzero(chosen))
 
 
-def probe_cursor(obj: Any, cursor: Sequence[float]) -> Probe:
-    """Probe the Gaussian whose rest position is nearest to a place in the world, of those that are drawn.
+def shown_weights(scene_: Any, obj: Any) -> np.ndarray:
+    """Return the complex weights [M] of the phasors that are shown in this frame: displacement = Σ_k Re[w_k m_k]."""
+    modifier, magnified = scene.splat_modifier(obj), analysis.active_modes(obj)
+    if DRAW_MODES[compat.get_input(modifier, names.DRAW)].still:
+        return np.zeros(len(obj[names.FREQUENCIES]), complex)
+    alpha = compat.get_number(modifier, names.ALPHA)
+    played = [compat.get_input(modifier, name) for name in names.toggles(obj[names.FREQUENCIES])]
+    gains = [on * (1 + alpha * (k in magnified)) for k, on in enumerate(played)]
+    turns = np.array(obj[names.FREQUENCIES]) * clock.timestep(scene_, obj, modifier) / float(obj[names.FPS])
+    return np.array(gains) * np.exp(2j * np.pi * turns)
 
-    PickError where the place is outside of that Gaussian and farther from it than NEAR times the object's size.
+
+def _drawn(scene_: Any, obj: Any, mesh: Any) -> np.ndarray:
+    """[N, 3] float64: where the Gaussians are drawn in this frame, in the world."""
+    moved = np.zeros_like(values(mesh, "position"), float)
+    for k, weight in enumerate(shown_weights(scene_, obj)):
+        mode = names.phasor(k)
+        moved += weight.real * values(mesh, mode["re"]) - weight.imag * values(mesh, mode["im"])
+    for part in points.parts(mesh):
+        if part.applied is not None:
+            moved[part.rows] = moved[part.rows] @ part.applied[:3, :3].T
+    return world(obj, mesh) + moved @ np.array(obj.matrix_world)[:3, :3].T
+
+
+def probe_cursor(scene_: Any, obj: Any) -> Probe:
+    """Probe the Gaussian that is drawn nearest to the 3D cursor in this frame.
+
+    PickError where the cursor is outside of that Gaussian and farther from it than NEAR times the object's size.
     """
     modifier = scene.splat_modifier(obj)
     faintest = drawing.least_opacity(compat.get_input(modifier, names.DRAW))
@@ -56,7 +81,7 @@ def probe_cursor(obj: Any, cursor: Sequence[float]) -> Probe:
             raise PickError(
                 f"No Gaussian is as opaque as {faintest}, {compat.get_input(modifier, faintest):g}"
             )
-        away = np.linalg.norm(world(obj, mesh)[shown] - np.asarray(cursor, float), axis=1)
+        away = np.linalg.norm(_drawn(scene_, obj, mesh)[shown] - np.array(scene_.cursor.location), axis=1)
         nearest = shown[np.argmin(away)]
         reach = SIGMAS * values(mesh, names.SCALE)[nearest].max() * shown_size(obj)
         low, high = framing.box([obj])

@@ -2,13 +2,15 @@
 
 Started by `blender --python answering.py -- FOLDER`. A question is FOLDER/ask.json, {"id", "name", "with"}; the
 answer is FOLDER/answer.json, {"id", "value"} or {"id", "error"}. The names are those of the functions marked
-`@answer`. They read; only those in SETTING set up a scene or a view, which a person does with a mouse that has three
-buttons. What a test is about is done with the mouse.
+`@answer`. They read; only those in SETTING set up or measure a scene or a view. What a test is about is done with the
+mouse.
 """
 
 import json
+import math
 import os
 import sys
+import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +21,7 @@ import numpy as np
 
 INTERVAL = 0.05  # s
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
-SETTING = {"clear", "view"}
+SETTING = {"calling", "clear", "draw_as", "drawing", "put_away", "stepping", "sway", "view"}
 ANSWERS: dict[str, Callable[..., Any]] = {}
 
 
@@ -126,8 +128,74 @@ def view(look_from, at, distance):
 
 
 @answer
+def drawing(frames):
+    """Processor time of drawing the window, all threads, ms: of each frame while the view turns by 1° a frame."""
+    import mathutils
+
+    region = _view().spaces.active.region_3d
+    turn = mathutils.Quaternion((0, 0, 1), math.radians(1))
+    took = []
+    for _ in range(frames):
+        region.view_rotation = turn @ region.view_rotation
+        took.append(_took(lambda: bpy.ops.wm.redraw_timer(type="DRAW_WIN_SWAP", iterations=1)))
+    return took
+
+
+@answer
+def stepping(frames):
+    """Processor time of evaluating each of the next frames, all threads, ms; nothing is drawn."""
+    return [_took(lambda: bpy.ops.wm.redraw_timer(type="ANIM_STEP", iterations=1)) for _ in range(frames)]
+
+
+@answer
+def calling(operator, frames):
+    """Processor time of an operator in each of the next frames, all threads, ms."""
+    module, _, name = operator.partition(".")
+    took = []
+    for _ in range(frames):
+        bpy.context.scene.frame_set(bpy.context.scene.frame_current + 1)
+        took.append(_took(getattr(getattr(bpy.ops, module), name)))
+    return took
+
+
+@answer
+def draw_as(mode):
+    """Choose the active object's draw mode."""
+    tree = _modifier().node_group
+    socket = next(item for item in tree.interface.items_tree if item.name == "Draw As")
+    getattr(_modifier().properties.inputs, socket.identifier).value = mode
+
+
+@answer
+def put_away():
+    """Show a text editor in place of the 3D view, so that nothing of the scene is drawn."""
+    _view().type = "TEXT_EDITOR"
+
+
+@answer
+def sway(frequency):
+    """Let the active mesh sway by a shape key with a driver: motion as other add-ons can play it."""
+    obj = bpy.context.view_layer.objects.active
+    obj.shape_key_add(name="Rest")
+    moved, mesh = obj.shape_key_add(name="Mode"), obj.data
+    places = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", places)
+    places[2::3] += 0.02 * np.cos(places[::3])
+    moved.data.foreach_set("co", places)
+    moved.slider_min = -1.0
+    fps = bpy.context.scene.render.fps
+    moved.driver_add("value").driver.expression = f"sin({2 * math.pi * frequency / fps} * frame)"
+
+
+def _took(call):
+    start = time.process_time()
+    call()
+    return (time.process_time() - start) * 1e3
+
+
+@answer
 def clear():
-    """Remove the cube, the lamp and the camera that Blender starts with."""
+    """Remove all objects: the cube, the lamp and the camera that Blender starts with."""
     bpy.data.batch_remove(list(bpy.data.objects))
 
 

@@ -18,14 +18,14 @@ SPLAT = "drum.ply"
 
 
 def drum(side=24, freqs_hz=(2.0, 5.0)):
-    """A square membrane of side × side coloured Gaussians, 2 units wide, in its modes (1, 1) and (2, 1)."""
+    """A square membrane of side × side coloured Gaussians, 2 units wide, in its modes (1, 1), (2, 1) …, one a frequency."""
     line = np.linspace(-1.0, 1.0, side)
     x, y = (grid.ravel() for grid in np.meshgrid(line, line))
     n = len(x)
-    shapes = [np.sin(np.pi * (k + 1) * (x + 1) / 2) * np.sin(np.pi * (y + 1) / 2) for k in range(2)]
+    shapes = [np.sin(np.pi * (k + 1) * (x + 1) / 2) * np.sin(np.pi * (y + 1) / 2) for k in range(len(freqs_hz))]
     displacement = np.zeros((len(freqs_hz), n, 3), dtype=np.complex64)
-    for k, (shape, size) in enumerate(zip(shapes, (0.02, 0.01), strict=True)):
-        displacement[k, :, 2] = size * shape
+    for k, shape in enumerate(shapes):
+        displacement[k, :, 2] = 0.02 / (k + 1) * shape
     colour = np.stack([(x + 1) / 2, (y + 1) / 2, np.full(n, 0.3)], axis=1)
     means, quats = np.stack([x, y, np.zeros(n)], axis=1), np.tile([1, 0, 0, 0], (n, 1))
     rest = (means, quats, np.full((n, 3), 0.6 / side), np.full(n, 0.9), f_dc(colour)[:, None])

@@ -72,8 +72,12 @@ def test_the_nearest_drawn_gaussian_to_the_cursor(extension, moving, splat_path)
     splat = read_splat(splat_path)
     moving.location, moving.rotation_euler, moving.scale = (1.0, -2.0, 0.5), (0.3, 0.5, -1.0), (2.0, 1.0, 0.5)
     bpy.context.view_layer.update()
-    matrix = np.array(moving.matrix_world)
-    world = splat.means @ matrix[:3, :3].T + matrix[:3, 3]
+    matrix, put = np.array(moving.matrix_world), setter(extension, moving)
+    for name, value in ((extension.names.SPEED, 1.0), (extension.names.ALPHA, 30.0)):
+        put(name, value)
+    bpy.context.scene.frame_set(10)  # far from rest: what is seen there counts
+    world = positions_at(splat, 9, 30.0) @ matrix[:3, :3].T + matrix[:3, 3]
+    assert np.linalg.norm(world - splat.means @ matrix[:3, :3].T - matrix[:3, 3], axis=1).max() > 0.5
     faint = splat.opacities < 0.1
     assert faint.any()
     for i in np.flatnonzero(~faint):
