@@ -201,7 +201,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         default=True,
     )
     show: BoolProperty(  # type: ignore[valid-type]
-        name="Show",
+        name="Frame in View",
         description="Frame the splats in the 3D views and in the untouched startup camera, hide the untouched startup "
         "cube where it is in the way, and switch Solid view, which shows splats grey, to Material Preview",
         default=True,

@@ -10,7 +10,6 @@ else the machine does.
 """
 
 import argparse
-import math
 import statistics
 import sys
 import time
@@ -115,6 +114,11 @@ def composed(parts, out):
     print(f"{out}: {out.stat().st_size / 1000:.0f} kB")
 
 
+def print_evaluation(blender, count, what):
+    """Print the median time of evaluating a frame."""
+    print(f"{count}, {what}: {median(blender.ask('stepping', 900, frames=9)):.1f} ms", flush=True)
+
+
 def play(kiri):
     """Print the evaluation times of large files, in the window, nothing drawn."""
     import tempfile
@@ -135,12 +139,12 @@ def play(kiri):
                     blender.ask("clear")
                     imported(blender, path.name, own=False)
                     blender.ask("draw_as", mode=mode)
-                    print(f"{path.stem}, {mode}: {median(blender.ask('stepping', 900, frames=9)):.1f} ms", flush=True)
+                    print_evaluation(blender, path.stem, mode)
                 blender.ask("clear")
                 imported(blender, path.name, own=True)
-                print(f"{path.stem}, static points: {median(blender.ask('stepping', 900, frames=9)):.1f} ms", flush=True)
+                print_evaluation(blender, path.stem, "static points")
                 blender.ask("sway", frequency=5.0)
-                print(f"{path.stem}, shape key: {median(blender.ask('stepping', 900, frames=9)):.1f} ms", flush=True)
+                print_evaluation(blender, path.stem, "shape key")
         if not kiri:
             return
         with Session.start(kiri, files[:1], SIZE) as blender:
@@ -201,11 +205,15 @@ def render(splat, out, distance, view_width):
     scene.render.filepath = str(out)
     start = time.process_time()
     bpy.ops.render.render(write_still=True)
-    print(f"Blender {bpy.app.version_string}, {scene.render.engine}: {1e3 * (time.process_time() - start):.0f} ms")
+    print(
+        f"Blender {bpy.app.version_string}, {scene.render.engine}: {1e3 * (time.process_time() - start):.0f} ms"
+    )
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("files", nargs="*", type=Path)
     parser.add_argument("--kiri", type=Path)
     parser.add_argument("--own", type=Path)
@@ -227,7 +235,11 @@ def main():
         import numpy as np
         from PIL import Image
 
-        own = [("Blender 5.3's import", np.asarray(Image.open(options.own).convert("RGB")))] if options.own else []
+        own = (
+            [("Blender 5.3's import", np.asarray(Image.open(options.own).convert("RGB")))]
+            if options.own
+            else []
+        )
         composed([*own, *((label, picture) for label, picture, _ in found)], options.out)
 
 

@@ -18,11 +18,13 @@ SPLAT = "drum.ply"
 
 
 def drum(side=24, freqs_hz=(2.0, 5.0)):
-    """A square membrane of side × side coloured Gaussians, 2 units wide, in its modes (1, 1), (2, 1) …, one a frequency."""
+    """A square membrane of side × side Gaussians, 2 units wide, in modes (1, 1), (2, 1) …, one a frequency."""
     line = np.linspace(-1.0, 1.0, side)
     x, y = (grid.ravel() for grid in np.meshgrid(line, line))
     n = len(x)
-    shapes = [np.sin(np.pi * (k + 1) * (x + 1) / 2) * np.sin(np.pi * (y + 1) / 2) for k in range(len(freqs_hz))]
+    shapes = [
+        np.sin(np.pi * (k + 1) * (x + 1) / 2) * np.sin(np.pi * (y + 1) / 2) for k in range(len(freqs_hz))
+    ]
     displacement = np.zeros((len(freqs_hz), n, 3), dtype=np.complex64)
     for k, shape in enumerate(shapes):
         displacement[k, :, 2] = 0.02 / (k + 1) * shape

@@ -110,6 +110,12 @@ class Session:
         self.move(x, y)
         self._xdotool("click", str(button))
 
+    def click_with(self, held, x, y, button=1):
+        """Click while a key is held."""
+        self._xdotool("keydown", held)
+        self.click(x, y, button)
+        self._xdotool("keyup", held)
+
     def drag(self, start, by, steps=10, button=1):
         """Press at `start`, move by pixels in steps, let go. Relative, as a number field holds the pointer."""
         self.move(*start)

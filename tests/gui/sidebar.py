@@ -44,6 +44,16 @@ def find(blender, name, at=0.55):
     raise SessionError(f"no control for {name} in the sidebar\n{blender.log()[-2000:]}")
 
 
+def find_button(blender, command, at=0.55):
+    """Where the button in sight is that runs a command, such as `tg4mm.band(frequency=5`."""
+    box = blender.region("VIEW_3D", "UI")
+    x = box.left + round(at * box.width)
+    for y in range(box.top + 10, box.top + box.height - 6, ROW_STEP):
+        if command in under_pointer(blender, x, y, "ctrl+c"):
+            return x, y
+    raise SessionError(f"no button for {command} in the sidebar\n{blender.log()[-2000:]}")
+
+
 def under_pointer(blender, x, y, keys="ctrl+shift+alt+c"):
     """Data path of the value under the pointer, with ctrl+c the value itself; empty where there is none."""
     blender.value("setattr(bpy.context.window_manager, 'clipboard', '')")  # without a redraw
