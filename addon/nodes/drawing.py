@@ -29,7 +29,7 @@ def best(count: int, n_modes: int) -> str:
     left = FRAME_NS / max(count, 1) - EVALUATED_NS - n_modes * MODE_NS
     return max(
         (name for name in costs if costs[name] <= left),
-        key=costs.__getitem__,
+        key=lambda name: (here[name].soft, costs[name]),
         default=min(costs, key=costs.__getitem__),
     )
 

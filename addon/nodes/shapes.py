@@ -11,6 +11,7 @@ from .graph import Graph
 
 SUBDIVISIONS = 2  # of the icosphere: 80 triangles
 FEWEST_SUBDIVISIONS = 1  # 20 triangles
+AROUND = 1.2584  # radius of the icosahedron of 20 triangles around a sphere of radius 1
 SPLAT_RADIUS = 3.0  # standard deviations; the material's fall-off is made for it
 NO_ARROW = 1e-9  # scene units; a shorter displacement has no direction
 USUAL, AS_TRAINED = "Ellipsoids", "Splats"  # of a new modifier, which is one mesh's too; by Exact Look
@@ -111,12 +112,23 @@ def _ellipsoids(asked: _Asked) -> Any:
 
 def _splats(asked: _Asked) -> Any:
     # What is see-through adds up, so splats need the faint ones too.
+    # Each ray is shaded by its distance from the middle, so that any hull will do.
     faint, radius = asked.opaque(names.MIN_SPLAT_OPACITY), asked.size(SPLAT_RADIUS)
-    return _balls(asked.graph, asked.points, faint, radius, asked.materials.splat)
+    hull = (AROUND, FEWEST_SUBDIVISIONS)
+    return _balls(asked.graph, asked.points, faint, radius, asked.materials.splat, hull)
 
 
-def _balls(graph: Graph, points: Any, selection: Any, radius: Any, material: Any) -> Any:
-    sphere = graph.call("GeometryNodeMeshIcoSphere", {"Radius": 1.0, "Subdivisions": SUBDIVISIONS}, "Mesh")
+def _balls(
+    graph: Graph,
+    points: Any,
+    selection: Any,
+    radius: Any,
+    material: Any,
+    ball: tuple[float, int] = (1.0, SUBDIVISIONS),
+) -> Any:
+    sphere = graph.call(
+        "GeometryNodeMeshIcoSphere", dict(zip(("Radius", "Subdivisions"), ball, strict=True)), "Mesh"
+    )
     inputs = {
         "Points": points,
         "Instance": graph.painted(sphere, material),
@@ -221,13 +233,13 @@ def _realized(graph: Graph, points: Any, drawn: Any) -> Any:
     return joined.outputs[0]
 
 
-# A laptop's graphics are taken to manage 200 million triangles a second: 80 a Gaussian, of Splats each counted three
-# times, as they overlap. The menu's items are in this order; Blender's own come last, as only 5.3 has them.
+# A laptop's graphics are taken to manage 200 million triangles a second: 80 of an ellipsoid, 20 of a splat, each of
+# these counted three times, as they overlap. The menu's items are in this order; Blender's own come last, as only 5.3 has them.
 DRAW_MODES = {
     "Ellipsoids": DrawMode(
         "Opaque ellipsoids: quick, and right for judging motion", _ellipsoids, drawn_ns=400.0, sized=True
     ),
-    "Splats": DrawMode("Soft Gaussians, as they were trained: slow", _splats, drawn_ns=1200.0, soft=True),
+    "Splats": DrawMode("Soft Gaussians, as they were trained", _splats, drawn_ns=300.0, soft=True),
     "Points": DrawMode(
         "One point for each Gaussian, of the ellipsoid's size", _dots, drawn_ns=0.0, sized=True, turns=False
     ),

@@ -118,7 +118,7 @@ def test_more_gaussians_are_drawn_more_simply(extension, monkeypatch):
     best = extension.nodes.drawing.best
     monkeypatch.setattr(extension.compat, "native_splats", lambda: False)
     ways = [best(count, 1) for count in (1_000, 50_000, 1_000_000)]
-    assert ways == ["Splats", "Ellipsoids", "Points"]
+    assert ways == ["Splats", "Splats", "Points"]
     order = list(extension.nodes.shapes.DRAW_MODES)
     for count in (10_000, 30_000, 80_000):
         costs = [("Splats", "Ellipsoids", "Points").index(best(count, modes)) for modes in (0, 1, 15, 64)]

@@ -28,16 +28,18 @@ def median(times):
     return statistics.median(times[1:])
 
 
-def framed(blender, distance, empty=None):
-    """The middle of the 3D view, uint8 [H, W, 3], once it shows more than `empty` and no longer changes."""
-    plain = blender.now()[MESSAGE]
+def framed(blender, distance, before=None):
+    """The middle of the 3D view, uint8 [H, W, 3], once it no longer changes and shows more than `before`, a screen."""
     blender.ask("view", distance=distance, **VIEW)
     box, still, last = blender.region("VIEW_3D"), 0, None
     left, top = box.left + (box.width - PICTURE[0]) // 2, box.top + (box.height - PICTURE[1]) // 2
     for _ in range(300):  # EEVEE compiles its shaders, and adds up samples
         time.sleep(2)
-        now = blender.now()[top : top + PICTURE[1], left : left + PICTURE[0]]
-        shown = empty is None or (share(now, empty) > 0.05 and not share(blender.now()[MESSAGE], plain))
+        screen = blender.now()
+        now = screen[top : top + PICTURE[1], left : left + PICTURE[0]]
+        shown = before is None or (
+            share(screen, before) > 0.03 and not share(screen[MESSAGE], before[MESSAGE])
+        )
         still = still + 1 if shown and last is not None and (now == last).all() else 0
         if still == 10:
             break
@@ -63,31 +65,33 @@ def pictures(splat, kiri, distance):
 
     found = []
 
-    def take(blender, label, empty):
-        found.append((label, framed(blender, distance, empty), blender.ask("drawing", 900, frames=FRAMES)))
+    def take(blender, label, before):
+        found.append((label, framed(blender, distance, before), blender.ask("drawing", 900, frames=FRAMES)))
         print(f"{label}: {median(found[-1][2]):.0f} ms a frame to draw", flush=True)
 
     if kiri:
         with Session.start(kiri, [splat], SIZE) as blender:
             blender.ask("clear")
-            empty = framed(blender, distance)
+            framed(blender, distance)
+            before = blender.now()
             imported(blender, splat.name, own=True)
             blender.value(f"str(bpy.ops.{KIRI_IMPORT}())", 600)
             blender.value("[obj.hide_set(obj.type == 'MESH') for obj in bpy.data.objects]")
-            take(blender, "KIRI 3DGS Render 4.1.5", empty)
+            take(blender, "KIRI 3DGS Render 4.1.5", before)
     with Session.start(built(), [splat], SIZE) as blender:
         blender.ask("clear")
-        empty = framed(blender, distance)
+        framed(blender, distance)
+        before = blender.now()
         imported(blender, splat.name, own=True)
         blender.value("[obj.select_set(False) for obj in bpy.data.objects]")
-        points = (framed(blender, distance, empty), blender.ask("drawing", 900, frames=FRAMES))[1]
+        points = (framed(blender, distance, before), blender.ask("drawing", 900, frames=FRAMES))[1]
         print(f"Blender 5.2's import, points: {median(points):.0f} ms a frame to draw", flush=True)
         blender.ask("clear")
         imported(blender, splat.name, own=False)
         usual = blender.ask("inputs")["Draw As"]
         for mode in (usual, "Splats"):
             blender.ask("draw_as", mode=mode)
-            take(blender, f"tg4mm, {mode}", empty)
+            take(blender, f"tg4mm, {mode}", before)
     return found
 
 

@@ -29,7 +29,7 @@ def settled(blender, shown=lambda: True):
         time.sleep(2)
         now = blender.now()
         still = still + 1 if (now == last).all() else 0
-        if still == 4:
+        if still == 8:  # a busy machine draws late
             break
         last = now
     return last
