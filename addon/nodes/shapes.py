@@ -234,7 +234,8 @@ def _realized(graph: Graph, points: Any, drawn: Any) -> Any:
 
 
 # A laptop's graphics are taken to manage 200 million triangles a second: 80 of an ellipsoid, 20 of a splat, each of
-# these counted three times, as they overlap. The menu's items are in this order; Blender's own come last, as only 5.3 has them.
+# these counted three times, as they overlap. The menu's items are in this order; Blender's own come last, as only 5.3
+# has them.
 DRAW_MODES = {
     "Ellipsoids": DrawMode(
         "Opaque ellipsoids: quick, and right for judging motion", _ellipsoids, drawn_ns=400.0, sized=True

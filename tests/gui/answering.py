@@ -164,6 +164,7 @@ def draw_as(mode):
     tree = _modifier().node_group
     socket = next(item for item in tree.interface.items_tree if item.name == "Draw As")
     getattr(_modifier().properties.inputs, socket.identifier).value = mode
+    bpy.context.view_layer.objects.active.update_tag()
 
 
 @answer
