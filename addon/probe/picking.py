@@ -233,9 +233,9 @@ def draw_probe(layout: Any, context: Any) -> None:
     column.label(text="not magnified, α = 0")
     picture = curve_picture(found, unit, time_part(context, obj, found))
     pictures.draw(layout, pictures.fitting_width(context), *picture)
-    row = layout.row(align=True)
-    row.operator("tg4mm.export_probe", text="Export Curve (CSV)", icon="EXPORT").content = "SERIES"
-    row.operator("tg4mm.export_probe", text="Export Table (CSV)", icon="EXPORT").content = "PHASORS"
+    column = layout.column(align=True)
+    column.operator("tg4mm.export_probe", text="Export Curve (CSV)", icon="EXPORT").content = "SERIES"
+    column.operator("tg4mm.export_probe", text="Export Table (CSV)", icon="EXPORT").content = "PHASORS"
     _draw_rows(layout, found, unit)
 
 

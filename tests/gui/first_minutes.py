@@ -42,11 +42,11 @@ def keep(blender, folder, number, width=1052):
     print(f"picture {number}: {time.strftime('%H:%M:%S')}", flush=True)
 
 
-def to_end(blender, button=5):
-    """Turn the wheel over the sidebar to its end, or with button 4 to its start."""
+def to_end(blender):
+    """Turn the wheel over the sidebar to its end."""
     box = blender.region("VIEW_3D", "UI")
     for _ in range(40):
-        blender.click(*box.middle, button=button)
+        blender.click(*box.middle, button=5)
     blender.move(*blender.region("VIEW_3D").middle)
 
 
@@ -95,14 +95,6 @@ def walk(blender, folder):
     blender.wait(lambda: blender.value(f"'tg4mm_probe_label' in {ACTIVE}"), "the probe's reading")
     to_end(blender)
     keep(blender, folder, 5)
-    to_end(blender, button=4)
-    blender.click(*sidebar.find(blender, "Colour By"))
-    time.sleep(3)
-    blender.key("f")
-    blender.wait(lambda: blender.ask("inputs")["Colour By"] == "File", "the file's colours")
-    blender.click(*sidebar.find_button(blender, "tg4mm.exact_look"))
-    settled(blender, lambda: blender.ask("inputs")["Blend as Trained"])
-    keep(blender, folder, 6)
 
 
 def main(sample, folder):
