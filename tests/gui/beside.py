@@ -77,7 +77,7 @@ def pictures(splat, kiri, distance):
             imported(blender, splat.name, own=True)
             blender.value(f"str(bpy.ops.{KIRI_IMPORT}())", 600)
             blender.value("[obj.hide_set(obj.type == 'MESH') for obj in bpy.data.objects]")
-            take(blender, "KIRI 3DGS Render 4.1.5", before)
+            take(blender, "KIRI 3DGS Render 4.1.5, in 5.2", before)
     with Session.start(built(), [splat], SIZE) as blender:
         blender.ask("clear")
         framed(blender, distance)
@@ -89,9 +89,10 @@ def pictures(splat, kiri, distance):
         blender.ask("clear")
         imported(blender, splat.name, own=False)
         usual = blender.ask("inputs")["Draw As"]
-        for mode in (usual, "Splats"):
-            blender.ask("draw_as", mode=mode)
-            take(blender, f"tg4mm, {mode}", before)
+        take(blender, "tg4mm in 5.2", before)
+        blender.ask("draw_as", mode="Ellipsoids")
+        framed(blender, distance, before)
+        print(f"{usual}, then Ellipsoids: {median(blender.ask('drawing', 900, frames=FRAMES)):.0f} ms")
     return found
 
 
@@ -240,7 +241,7 @@ def main():
         from PIL import Image
 
         own = (
-            [("Blender 5.3's import", np.asarray(Image.open(options.own).convert("RGB")))]
+            [("Blender 5.3's own import", np.asarray(Image.open(options.own).convert("RGB")))]
             if options.own
             else []
         )
