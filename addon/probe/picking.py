@@ -53,7 +53,7 @@ def shown_weights(scene_: Any, obj: Any) -> np.ndarray:
     played = [compat.get_input(modifier, name) for name in names.toggles(obj[names.FREQUENCIES])]
     gains = [on * (1 + alpha * (k in magnified)) for k, on in enumerate(played)]
     turns = np.array(obj[names.FREQUENCIES]) * clock.timestep(scene_, obj, modifier) / float(obj[names.FPS])
-    return np.array(gains) * np.exp(2j * np.pi * turns)
+    return np.asarray(np.array(gains) * np.exp(2j * np.pi * turns))
 
 
 def _drawn(scene_: Any, obj: Any, mesh: Any) -> np.ndarray:
@@ -65,7 +65,7 @@ def _drawn(scene_: Any, obj: Any, mesh: Any) -> np.ndarray:
     for part in points.parts(mesh):
         if part.applied is not None:
             moved[part.rows] = moved[part.rows] @ part.applied[:3, :3].T
-    return world(obj, mesh) + moved @ np.array(obj.matrix_world)[:3, :3].T
+    return np.asarray(world(obj, mesh) + moved @ np.array(obj.matrix_world)[:3, :3].T)
 
 
 def probe_cursor(scene_: Any, obj: Any) -> Probe:
