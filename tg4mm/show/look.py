@@ -157,6 +157,11 @@ class LookText:
             f"frequencies below {LOWEST / f.duration_s:.2g} Hz, and two that are closer than "
             f"{1 / f.duration_s:.2g} Hz: the record covers {f.duration_s:.3g} s",
         ]
+        if f.images_hz and f.lines:
+            out.append(
+                f"vibrations at |k × {f.images_hz:.4g} Hz ± f| beside one at f: the order of B-frames makes images "
+                "of it there"
+            )
         if f.repeats:
             out.append(
                 f"anything by {len(f.repeats)} duplicate frames: they are left out, and others get corrected times; "

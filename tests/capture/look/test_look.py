@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 from skimage import data
 
 from benchmarks.calibration.film import Coding, Film, FilmMode, Layer, sliding, texture, write_video
@@ -90,6 +91,30 @@ def test_a_still_wall_that_the_codec_skips_does_not_outvote_the_plate(tmp_path, 
     found = plate_before_a_skipped_wall(tmp_path / "a.mp4", size_px, 8.29, 0.3, 20, np.s_[36:108, 48:144])
     assert [round(line.hz, 1) for line in found.vibrations] == ([8.3] if size_px else [])
     assert found.smallest[0].best_px > 1e-4  # rounding alone hides less
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_two_lines_that_predicted_frames_alone_do_not_resolve_keep_their_amplitudes(tmp_path, seed):
+    """At 7.5 predicted frames per second, 7.9 Hz and its image at 7.1 Hz are one frequency."""
+    rows, columns = np.mgrid[4:164, 4:212].astype(float)
+    wall, moves, rng = data.brick()[100:268, 100:316].astype(float), columns > 40, np.random.default_rng(seed)
+    right, down = (
+        size * np.sin(2 * np.pi * hz * np.arange(240) / 30) for size, hz in ((0.3, 3.7), (0.1, 7.9))
+    )
+    frames = [
+        map_coordinates(wall, [rows - b * moves, columns - a * moves], order=3)
+        + 1.5 * rng.normal(size=rows.shape)
+        for a, b in zip(right, down, strict=True)
+    ]
+    coding = Coding("libx264", 0, 250, crf=18)
+    write_video(tmp_path / "a.mp4", np.clip(np.rint(frames), 0, 255).astype(np.uint8), 30, coding)
+    found = look(tmp_path / "a.mp4")
+    assert max(line.amplitude_px for line in found.lines) < 0.5  # marked ones, too
+    for hz, size_px in ((3.7, 0.3), (7.9, 0.09)):
+        nearest = min(found.vibrations, key=lambda line: abs(line.hz - hz))
+        assert nearest.hz == pytest.approx(hz, abs=0.02)
+        assert nearest.amplitude_px == pytest.approx(size_px, rel=0.35)
+    assert found.images_hz == pytest.approx(7.5)
 
 
 @pytest.mark.parametrize("passes", [False, True])

@@ -33,8 +33,14 @@ def test_what_a_modulation_with_the_codecs_period_makes_is_marked():
     assert all(p.sideband is None for p in with_sidebands(peaks, None, FPS, 3.0))
 
 
-def peak(hz, size):
-    return Peak(hz, 1e-3, size * np.ones(3, complex), 1e-3 * np.ones(3), 1e-3 * np.ones(3))
+def peak(hz, size, deviation=1e-3):
+    return Peak(hz, 1e-3, size * np.ones(3, complex), deviation * np.ones(3), 1e-3 * np.ones(3))
+
+
+@pytest.mark.parametrize(("deviation", "is_marked"), [(1e-3, False), (0.1, True)])
+def test_half_of_a_line_is_marked_where_it_may_be_less(deviation, is_marked):
+    strong, other = with_sidebands([peak(3.4, 1.0), peak(4.1, 0.5, deviation)], 4, FPS, 3.0)
+    assert (strong.sideband, other.sideband is not None) == (None, is_marked)
 
 
 @pytest.mark.parametrize(("hz", "size"), [(4.5, 0.01), (4.1, 0.5)])

@@ -245,6 +245,7 @@ def _result(
         smallest=search.smallest(),
         first=series.first,
         without_between=scene.treats_apart,
+        images_hz=1 / (scene.order_period * scene.dt) if scene.treats_apart and scene.order_period else 0.0,
         coded_change=scene.coded_change,
         light_readout=by_light(series.row_means, series.times_s),
         swings=swings,

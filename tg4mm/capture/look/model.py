@@ -161,6 +161,8 @@ class Look(LookSummary):
     first: np.ndarray  # [H, W] uint8: the first picture
     regions: tuple[RegionLook, ...] = field(default=(), kw_only=True)  # in the order asked for
     repeats: tuple[int, ...] = field(default=(), kw_only=True)  # frames that repeat the one before, left out
+    # rate of frames other than B: a line at f has images by their order at |k × images_hz ± f|; 0: none
+    images_hz: float = field(default=0.0, kw_only=True)
 
     @property
     def rate(self) -> float:

@@ -30,11 +30,9 @@ def alike_by_position(series: np.ndarray, times_s: np.ndarray, kinds: np.ndarray
 
     kinds [F]: of the frames, as in `CellSeries`. Frames that are not B, and positions with few frames, share a phasor.
     """
-    position = position_in_row(kinds)
-    enough = [k for k in range(1, int(position.max()) + 1) if (position == k).sum() >= FEWEST_OF_KIND]
-    if not enough:
+    apart = positions_apart(kinds)
+    if apart.shape[1] == 1:
         return AlikeSeries(series, hz, 1.0)
-    apart = np.stack([~np.isin(position, enough), *(position == k for k in enough)], 1)
     away = times_s - times_s.mean()
     slow = np.stack([away**k for k in range(3)], 1)
     span, found = float(np.ptp(times_s)), hz
@@ -53,6 +51,13 @@ def alike_by_position(series: np.ndarray, times_s: np.ndarray, kinds: np.ndarray
     wider = max(float(together @ together / max(slope @ slope, 1e-300)), 1.0)
     mean = apart.mean(0) @ phasors
     return AlikeSeries(series + (wave * (apart @ (mean - phasors))).real, found, wider)
+
+
+def positions_apart(kinds: np.ndarray) -> np.ndarray:
+    """[F, n] bool: frames that are not B or of positions with few frames, then those of each other position."""
+    position = position_in_row(kinds)
+    enough = [k for k in range(1, int(position.max()) + 1) if (position == k).sum() >= FEWEST_OF_KIND]
+    return np.stack([~np.isin(position, enough), *(position == k for k in enough)], 1)
 
 
 def _solved(

@@ -126,9 +126,14 @@ class CellScene:
         return tuple(found)
 
     @property
+    def order_period(self) -> int:
+        """Frames from one that is not B to the next, 0 where there are no B-frames in a regular order."""
+        return _period(~self.between) if self.between.any() else 0
+
+    @property
     def taken_off(self) -> dict[float, str]:
         """Frequencies that are removed from the shifts, with their origin: the order of B-frames, or bands of light."""
-        period = _period(~self.between) if self.between.any() else 0
+        period = self.order_period
         turns = {k / (period * self.dt): "the codec's turns at" for k in range(1, period // 2 + 1)}
         return turns | {line.hz: "the light's" for line in self.light if line.is_banded}
 

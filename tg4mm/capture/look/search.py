@@ -13,6 +13,7 @@ from scipy import stats
 
 from tg4mm.capture.look.baseline import QUANTISED
 from tg4mm.capture.look.model import Smallest
+from tg4mm.capture.look.order import positions_apart
 from tg4mm.capture.look.peaks import (
     CHANCE,
     LOWEST,
@@ -35,6 +36,11 @@ _LEFT, _LEFT_SHARE = 2.5, 0.15  # what may stay there, times the noise or of hal
 _SUPPORT = 7.0  # statistic of the place without its strongest cell: one of 140 of noise is above
 _TRIES = 2  # at one frequency
 _CLEAR = 4.0  # times what noise exceeds: a place at a rim has little support, one beside it more
+_UNRESOLVED = 0.5  # share of a line's columns that others must leave: that of half a bin between them
+_FRAMES_A_COLUMN, _FEW_LINES = (
+    2,
+    8,
+)  # frames for each coefficient of lines, at least, and lines for which there are
 _IMAGE_SURE = 10.0  # times weaker than a line it may be an image of
 
 
@@ -67,6 +73,7 @@ class Search:
             typical[tuple(self.pools[0].corner.T)] <= QUANTISED if self.pools else np.zeros(0, bool)
         )
         self._open = self.allowed.copy()
+        self._apart = self._frames_apart()
         self._tries: dict[int, int] = {}
         self._spectra: Spectra = {}
         self.composite = np.mean(self.pools[0].statistics(), 1) / 2 if self.pools else np.ones(len(self.hz))
@@ -74,6 +81,16 @@ class Search:
             self._find()
             self._again()
             self._make_plain()
+
+    def _frames_apart(self) -> np.ndarray:
+        """[n, F] bool: groups of frames with an amplitude of their own, as few as the record's length supports."""
+        everywhere = np.ones((1, len(self.times)), bool)
+        if not self.scene.treats_apart:
+            return everywhere
+        by_position = positions_apart(self.scene.series.kinds).T
+        if _FRAMES_A_COLUMN * 2 * len(by_position) * _FEW_LINES <= len(self.times):
+            return by_position
+        return np.stack([~self.scene.between, self.scene.between])
 
     @property
     def _tests(self) -> int:
@@ -95,15 +112,15 @@ class Search:
         return tuple(out)
 
     def columns(self, line: Vibration) -> np.ndarray:
-        """[F, 2 or 4]: columns of a line; the attenuation in B-frames is fitted as a separate amplitude."""
+        """[F, 2 n]: columns of a line; each of n positions in a row of B-frames has a separate amplitude."""
         plain = line.columns(self.times)
-        if not self.scene.treats_apart:
-            return plain
-        between = self.scene.between[:, None]
-        return np.concatenate([plain * ~between, plain * between], 1)
+        return np.concatenate([plain * some[:, None] for some in self._apart], 1)
 
     def _find(self) -> None:
+        room = len(self.times) // (_FRAMES_A_COLUMN * 2 * len(self._apart))
         for _ in range(MOST):
+            if len(self.lines) >= max(room, 1):
+                return
             peak = PeakSearch(
                 self.pools, self.times, self.hz, self._open, self._tests, self._spectra
             ).strongest()
@@ -127,7 +144,8 @@ class Search:
             statistic = max(statistic, _statistic(pool, peak.place, row, vibration, self.times))
         key = round(peak.hz * scene.duration)
         self._tries[key] = self._tries.get(key, 0) + 1
-        if self._is_image(vibration.hz, statistic) or self._tries[key] > _TRIES:
+        taken = self._is_image(vibration.hz, statistic) or self._is_unresolved(vibration)
+        if taken or self._tries[key] > _TRIES:
             self._open &= np.abs(self.hz - peak.hz) >= 0.75 / scene.duration
             return
         explains = wander <= max(_LEFT, _LEFT_SHARE * statistic / 2) and statistic >= peak.cut * wander
@@ -165,6 +183,17 @@ class Search:
             )
             for line in self.lines
         )
+
+    def _is_unresolved(self, vibration: Vibration) -> bool:
+        """Return whether the columns of the lines before explain most of a line.
+
+        It is then an image of one of them by the order of B-frames, or cannot be told from one.
+        """
+        if not self.lines:
+            return False
+        taken = np.linalg.qr(np.concatenate([self.columns(line.vibration) for line in self.lines], 1))[0]
+        own = vibration.columns(self.times)
+        return float(np.sum((own - taken @ (taken.T @ own)) ** 2)) < _UNRESOLVED * float(np.sum(own**2))
 
     def _is_near(self, vibration: Vibration) -> bool:
         """Return whether a detected line is too near to be resolved."""

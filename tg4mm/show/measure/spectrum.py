@@ -280,6 +280,13 @@ def size_of(peak: Peak) -> float:
     return float(np.linalg.norm(peak.amplitude[peak.is_resolved]))
 
 
+def _uncertainty(peak: Peak) -> float:
+    """Return the deviation of `size_of`."""
+    size = size_of(peak)
+    some = peak.is_resolved
+    return float(np.linalg.norm(peak.amplitude[some] * peak.deviation[some])) / size if size else np.inf
+
+
 def strength_of(peak: Peak) -> float:
     """Return the largest amplitude over floor of all axes."""
     scale = np.where(np.isfinite(peak.floor), np.maximum(peak.floor, 1e-300), np.inf)
@@ -300,7 +307,11 @@ def _sideband_of(
     peak: Peak, peaks: Sequence[Peak], carriers: Sequence[float], fps: float, duration_s: float
 ) -> Sideband | None:
     for other in sorted(peaks, key=size_of, reverse=True):
-        if size_of(other) < WEAKER * size_of(peak):
+        largest, smallest = (
+            size_of(other) + TWICE * _uncertainty(other),
+            size_of(peak) - TWICE * _uncertainty(peak),
+        )
+        if other is peak or largest < WEAKER * smallest:
             return None
         error = SURE * (peak.frequency_deviation_hz**2 + other.frequency_deviation_hz**2) ** 0.5
         for carrier in carriers:
