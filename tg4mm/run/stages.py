@@ -3,20 +3,20 @@
 import dataclasses
 import hashlib
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import torch
 
 from tg4mm.capture import Capture, ImageStack, SurfacePoints
-from tg4mm.capture.look import GreyPicture, LookSummary, look_at_pictures
+from tg4mm.capture.look import GreyPicture, LookLine, LookSummary, look_at_pictures
 from tg4mm.capture.look.compression import with_losses
 from tg4mm.capture.look.reading import FEWEST, INTRA
 from tg4mm.capture.look.record import from_record, to_record
 from tg4mm.capture.look.rows import with_rows
 from tg4mm.capture.pictures import FilePictures
-from tg4mm.capture.scene import picture_kinds, video_file
+from tg4mm.capture.scene import between_frames, picture_kinds, video_file
 from tg4mm.core.choices import Clock
 from tg4mm.core.errors import RunError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
@@ -36,10 +36,33 @@ from tg4mm.fit.space.train import fit_space
 from tg4mm.run import UNCERTAINTY, Run
 
 _SCENE = "scene"
-_VERSION = 18  # of a checkpoint; steps of another version are repeated
+_VERSION = 19  # of a checkpoint; steps of another version are repeated
+_RESOLVED = 4.0  # condition number of vibrations in frames that tell them apart, at most
 _LOG = logging.getLogger("tg4mm")
 
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+
+
+def _courses(
+    lines: Sequence[LookLine], times_s: np.ndarray, b_frames: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return [C, F]: courses of vibrations as the pictures show them, and the vibrations' own.
+
+    B-frames keep a share of a small motion, another one at each place: where the other frames resolve the vibrations,
+    B-frames get courses of their own, which are no motion.
+    """
+    own = np.concatenate([line.course(times_s) for line in lines])
+    lossy = np.repeat([line.between_share < 1 for line in lines], 2)
+    if b_frames is None or not lossy.any():
+        return own, own
+    apart = own[:, ~b_frames] - own[:, ~b_frames].mean(1, keepdims=True)
+    if np.linalg.cond(apart / np.linalg.norm(apart, axis=1, keepdims=True)) > _RESOLVED:
+        shares = np.repeat([line.between_share for line in lines], 2)[:, None]
+        return own * np.where(b_frames, shares, 1), own
+    between = own[lossy] * b_frames
+    shown = own.copy()
+    shown[lossy] -= between
+    return np.concatenate([shown, between]), np.concatenate([own, np.zeros_like(between)])
 
 
 def train_motion(
@@ -76,9 +99,11 @@ def train_motion(
         lines = {
             line.hz: line for line in found.vibrations
         }.values()  # parts of one frequency share its course
-        time_courses = np.concatenate([line.course(times) for line in lines])
+        shown, own = _courses(list(lines), times, between_frames(capture.root, len(times)))
         steady = tuple(line.hz for line in lines if line.start_s is None and not line.damping)
-        observations = dataclasses.replace(observations, time_courses=time_courses, steady_hz=steady)
+        observations = dataclasses.replace(
+            observations, time_courses=shown, own_courses=own, steady_hz=steady
+        )
     checkpoint = RunCheckpoint(run, kept, capture.rows_s)
     gaussians = checkpoint.gaussians
     try:

@@ -187,6 +187,7 @@ def _line(search: Search, line: PoolLine, reported: CoreLine, where: Placed) -> 
         readout_s=None if where.readout is None else where.readout.seconds,
         mark="",
         readout_deviation_s=None if where.readout is None else where.readout.deviation_s,
+        between_share=where.between_share,
     )
 
 

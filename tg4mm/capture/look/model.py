@@ -45,6 +45,7 @@ class LookLine:
     kept_deviation: float | None = None
     lost: str = ""  # why the true amplitude is larger than this one, by more than the ±; empty: unknown
     readout_deviation_s: float | None = None
+    between_share: float = 1.0  # of the amplitude, that B-frames keep of the others'
 
     def course(self, times_s: np.ndarray) -> np.ndarray:
         """Return [2, F]: cosine and sine, decaying as it was found to."""

@@ -20,10 +20,11 @@ from tg4mm.capture.look.model import Readout
 from tg4mm.capture.look.pools import AggregationWindow
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA
 from tg4mm.capture.look.rows import by_phases
-from tg4mm.capture.look.scene import lacks
+from tg4mm.capture.look.scene import FEWEST_OF_KIND, lacks
 from tg4mm.capture.look.search import PoolLine, Search, images
 from tg4mm.capture.look.spectra import LOG2, spectrum
 from tg4mm.capture.tracking.template import GAIN_ERROR
+from tg4mm.core.lines.search import mirrored
 
 RIM = 0.08  # share of an amplitude that is not exact in cells that hold what is behind, too
 _INEXACT = 0.5  # of the root of the share of changes that a shift leaves
@@ -59,6 +60,7 @@ class Placed:
     moving: np.ndarray  # indices of the grid's cells that show the line
     readout: Readout | None  # that would make phases alike at all heights
     noise_px: float  # the part of the deviation that noise makes
+    between_share: float  # of the amplitude, that B-frames keep of the others'
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,7 @@ class _Placing:
         seed, size = self._seed()
         region, is_rim = self._inner(self._grown(seed, size))
         amplitude, deviation, direction, phase, noise = self._amplitude(region, is_rim)
+        share = self._between_share(region)
         if len(region) <= size**2:  # the largest of all, so that its error is rather up than down
             beside = self._beside(region.tolist(), self._common(region))
             deviation = float(np.hypot(deviation, 0.0 if beside is None else abs(amplitude - beside) / 2))
@@ -158,7 +161,7 @@ class _Placing:
         numbers = cell_numbers(self.search)
         return Placed(
             *(amplitude, deviation, direction, phase, (float(x), float(y)), numbers[region]),
-            *(numbers[statistic > cut], self._readout(direction), noise),
+            *(numbers[statistic > cut], self._readout(direction), noise, share),
         )
 
     def _everywhere(self, j: int) -> _Everywhere:
@@ -319,6 +322,21 @@ class _Placing:
         noise_px = float(variance**0.5)
         return amplitude, float(np.hypot(noise_px, relative * amplitude)), direction, phase, noise_px
 
+    def _between_share(self, region: np.ndarray) -> float:
+        """Return the share of a region's amplitude that B-frames show of the others'; 1 where these do not tell it."""
+        scene, hz = self.search.scene, self.line.vibration.hz
+        series, seen = self._series(region)
+        others, between = seen & ~scene.between, seen & scene.between
+        if not scene.treats_apart or min(others.sum(), between.sum()) <= FEWEST_OF_KIND:
+            return 1.0
+        if mirrored(self.search.times[others], hz):
+            return 1.0
+        own, theirs = (
+            complex_of(np.linalg.lstsq(self.basis[rows], series[rows], rcond=None)[0])
+            for rows in (others, between)
+        )
+        return float(np.clip(np.vdot(own, theirs).real / max(np.vdot(own, own).real, 1e-12), 0, 1))
+
     def _predicted_lack(self) -> float:
         """The share of detail that P-frames lack beside I-frames."""
         series = self.search.scene.series
@@ -344,12 +362,17 @@ class _Placing:
         return min((abs(image - hz) for image in image_hz), default=np.inf) < 2 / scene.duration
 
 
+def complex_of(fit: np.ndarray) -> np.ndarray:
+    """Return the phasors of coefficients [2, …] of a cosine and a sine."""
+    return np.asarray(fit[0] - 1j * fit[1])
+
+
 def _along(fit: np.ndarray, noise: np.ndarray, inverse: np.ndarray) -> tuple[float, float, np.ndarray, float]:
     """Amplitude, its variance, direction [2] and phase of coefficients [2, 2]: their largest part along one line.
 
     noise [2, 2]: covariance of a sample; inverse [2, 2]: of the normal equations.
     """
-    complex_amplitude = fit[0] - 1j * fit[1]
+    complex_amplitude = complex_of(fit)
     phase = 0.5 * float(np.angle((complex_amplitude**2).sum()))
     along = np.real(complex_amplitude * np.exp(-1j * phase))
     amplitude = float(np.linalg.norm(along)) + 1e-12

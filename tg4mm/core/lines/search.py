@@ -186,7 +186,7 @@ def without_between(
     if len(forward) < max(FEWEST, 6 * len(shapes) + 8) or not b_frames.any() or not shapes:
         return None
     part = replace(record, t=record.t[forward], y=record.y[forward])
-    if any(_mirrored(part.t, s.hz) for s in shapes):
+    if any(mirrored(part.t, s.hz) for s in shapes):
         return None
     sizes = [float(np.linalg.norm(p)) for p in solved(shapes, record.t, record.y)[0]]
     kept: list[int] = []
@@ -211,7 +211,7 @@ def _part_of(shape: LineShape, forward: np.ndarray) -> LineShape:
     return replace(shape, start=int(np.searchsorted(forward, shape.start)), modulation=modulation)
 
 
-def _mirrored(t: np.ndarray, hz: float) -> bool:
+def mirrored(t: np.ndarray, hz: float) -> bool:
     """Return whether times [T] hardly resolve a frequency from its negative, as even ones do near half their rate."""
     off = np.linspace(-_MIRROR, _MIRROR, 17) / float(np.ptp(t))
     overlap = np.abs(np.exp(4j * np.pi * (hz + off / 2)[:, None] * (t - t[0])).mean(1))

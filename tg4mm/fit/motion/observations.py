@@ -81,8 +81,10 @@ class Observations:
     is_whole: bool  # no other pictures made the scene at rest
     codec_period: int | None = None  # frames, of the video's compression
     valid_mask: np.ndarray | None = None  # [V, H, W] bool: pixels of each pose that are used; None: all
-    # [2L, T] cosine and sine of vibrations that single regions showed, of synchronous cameras; None: not looked for
+    # [2L, T] cosine and sine of vibrations that single regions showed, of synchronous cameras; None: not looked for.
+    # As the pictures show them: a codec's B-frames keep a share; and the vibrations' own
     time_courses: np.ndarray | None = None
+    own_courses: np.ndarray | None = None
     steady_hz: tuple[float, ...] = ()  # of those that neither begin nor ring down: each is a mode
     factor: int = 1  # pixels of the recording along a side of one of these
     is_part: bool = False  # of the recording's pictures: the scene reaches beyond

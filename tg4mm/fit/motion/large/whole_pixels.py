@@ -125,14 +125,16 @@ def solve_whole_pixels(
 def _put_back(last: LinearSolution, observations: Observations, checkpoint: Checkpoint) -> _PutBack:
     """Pictures put back by the last solution, and a scene at rest that shows their mean."""
     model, frames = last.model, observations.frames[0]
-    gaussians, basis = model.gaussians, last.basis[: last.model.targets.n_known]
+    assert isinstance(model, Synchronous)
+    gaussians, n_known = model.gaussians, last.model.targets.n_known
+    basis, own = last.basis[:n_known], model.own_basis[:n_known]
     fields = _large(last.vibration[: len(basis)], frames)
 
     def displaced(gaussians: Gaussians, fields: np.ndarray) -> Observations:
         view = view_jacobian(gaussians, frames, observations.size)
         flow = np.ascontiguousarray(optical_flow(view, fields, Buffers())[..., :2])
         pictures = put_back(observations.pictures, frames, flow, basis)
-        return replace(observations, pictures=pictures, time_courses=basis)
+        return replace(observations, pictures=pictures, time_courses=basis, own_courses=own)
 
     def sharper() -> Arrays:
         mean = mean_pictures(displaced(gaussians, fields))[0]

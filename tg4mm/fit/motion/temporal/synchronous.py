@@ -183,6 +183,18 @@ class Synchronous(TemporalModel):
         """Return [R, F]: the functions of time."""
         return self.targets.basis[self.fitted]
 
+    @property
+    def own_basis(self) -> np.ndarray:
+        """Return [R, F]: `basis`, known vibrations as they are, not as B-frames show them."""
+        shown, own, basis = self.observations.time_courses, self.observations.own_courses, self.basis
+        known = self.fitted < self.targets.n_known
+        if shown is None or own is None or not known.any():
+            return basis
+        weights = np.linalg.lstsq((shown - shown.mean(1, keepdims=True)).T, basis[known].T, rcond=None)[0]
+        out = basis.copy()
+        out[known] = weights.T @ (own - own.mean(1, keepdims=True))
+        return out
+
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
         return self.targets.images[:, :1], self.problem, self.folds
 
@@ -204,15 +216,16 @@ class Synchronous(TemporalModel):
     def pixels_moved(self, fields: np.ndarray) -> float:
         """Return the motion in pixels at the timesteps at which it is largest."""
         views, displacement = self.problem.views, fields[..., :3]
-        sizes = np.linalg.norm(self.basis.T * pixels_moved(views, displacement), axis=1)
-        gains = self.basis.T[np.argsort(sizes)[-_LARGEST:]]
+        basis = self.own_basis.T
+        sizes = np.linalg.norm(basis * pixels_moved(views, displacement), axis=1)
+        gains = basis[np.argsort(sizes)[-_LARGEST:]]
         return float(pixels_moved(views, np.tensordot(gains, displacement, 1).astype(np.float32)).max())
 
     def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:
         fps, n_timesteps = self.observations.fps, self.observations.n_timesteps
         band, times_s = asked_band(self.config.band, fps), self.observations.frames[0].times_s
         known = self.observations.steady_hz
-        freqs, series = modes_of(self.basis, fields, fps, appearance, band, times_s, known)
+        freqs, series = modes_of(self.own_basis, fields, fps, appearance, band, times_s, known)
         values = apply_series(series, fields)
         shown = None
         if appearance is not None and (rows := np.flatnonzero(appearance.any((1, 2, 3)))).size:
