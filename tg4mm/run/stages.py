@@ -37,13 +37,15 @@ from tg4mm.run import UNCERTAINTY, Run
 
 _SCENE = "scene"
 _VERSION = 19  # of a checkpoint; steps of another version are repeated
-_RESOLVED = 4.0  # condition number of vibrations in frames that tell them apart, at most
+_RESOLVED = (
+    4.0  # times the noise of the best known combination of vibrations, that of the least known, at most
+)
 _LOG = logging.getLogger("tg4mm")
 
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
-def _courses(
+def courses(
     lines: Sequence[LookLine], times_s: np.ndarray, b_frames: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return [C, F]: courses of vibrations as the pictures show them, and the vibrations' own.
@@ -99,7 +101,7 @@ def train_motion(
         lines = {
             line.hz: line for line in found.vibrations
         }.values()  # parts of one frequency share its course
-        shown, own = _courses(list(lines), times, between_frames(capture.root, len(times)))
+        shown, own = courses(list(lines), times, between_frames(capture.root, len(times)))
         steady = tuple(line.hz for line in lines if line.start_s is None and not line.damping)
         observations = dataclasses.replace(
             observations, time_courses=shown, own_courses=own, steady_hz=steady

@@ -314,3 +314,17 @@ def test_a_plate_that_moves_by_pixels_is_found_with_its_amplitude(size_px):
     assert abs(line.amplitude_px - size_px) < 2 * line.amplitude_deviation_px
     assert abs(np.dot(line.direction, towards)) > 0.99
     assert inside(PLATE, line.centre_px)
+
+
+def test_what_b_frames_keep_of_a_line_is_known(tmp_path):
+    rng, (h, w) = np.random.default_rng(1), (120, 160)
+    cloths = [texture(h, w, rng, 0.3, 0.15, (1.5, 4.0, 12.0)) for _ in range(2)]
+    plate = FilmMode(np.broadcast_to([0.2, 0.1], (h, w, 2)), lambda t: float(np.cos(2 * np.pi * 5.3 * t)))
+    layers = [Layer(cloths[0], None, [], 0.6), Layer(cloths[1], (40, 30, 120, 90), [plate], 0.6)]
+    pictures, shares = Film(layers, 30, 150, 2.0).pictures(), []
+    for crf in (0, 24):
+        write_video(tmp_path / "f.mp4", pictures, 30, Coding("libx264", 0, crf=crf))
+        (line,) = look(tmp_path / "f.mp4").vibrations
+        shares.append(line.between_share)
+    assert shares[0] == 1
+    assert shares[1] < 0.9

@@ -1,6 +1,7 @@
 """Motion of whole pixels before one fixed camera: pictures are put back, and its size and the scene come out."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,14 +11,20 @@ from benchmarks.calibration.film import Coding, Film, Layer, sliding, texture, w
 from tg4mm.capture import ImageStack, load_capture
 from tg4mm.capture.pictures import over_white
 from tg4mm.capture.sfm.reconstruct import reconstruct
+from tg4mm.core.choices import Clock, Kind
 from tg4mm.fit.motion.animate import displacement_at
 from tg4mm.fit.motion.large import whole_pixels
 from tg4mm.fit.motion.large.resampling import put_back
-from tg4mm.fit.motion.observations import PosedFrames
+from tg4mm.fit.motion.observations import Observations, PosedFrames
+from tg4mm.fit.motion.pipeline import fit_motion
+from tg4mm.fit.space.plane import plane_gaussians, solve_colours
+from tg4mm.run.stages import courses
 from tg4mm.run.train import train
+from tg4mm.show.maps import pixel_rows
 
 HEIGHT, WIDTH, FRAMES, FPS = 48, 64, 20, 20.0
 TIMES_S = np.arange(FRAMES) / FPS
+VIEWMAT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 1], [0, 0, 0, 1]], np.float32)
 
 
 def waves(x, y):
@@ -128,3 +135,66 @@ def test_modes_of_a_plate_that_moves_by_pixels(tmp_path, monkeypatch):
     again = train(tmp_path / "set", tmp_path / "again")
     assert np.array_equal(again.load_motion().displacement, motion.displacement)
     assert np.array_equal(again.load_space().means, gaussians.means)
+
+
+def amplitude(kept, is_known):
+    """Found over true, of .25 px of which two of three frames, known as B-frames or not, keep a share."""
+    n, hz = 60, 3.3
+    times = np.arange(n) / 30
+    b_frames = np.arange(n) % 3 > 0
+    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
+    share = np.exp(-(((x - 36) / 16) ** 4 + ((y - 24) / 12) ** 4))
+    moved = 0.25 * np.cos(2 * np.pi * hz * times + 0.4) * np.where(b_frames, kept, 1)
+    pictures = np.full((n, HEIGHT, WIDTH, 4), 65535, np.uint16)
+    rng = np.random.default_rng(0)
+    for k, u in enumerate(moved):
+        shown = waves(x - u * share, y) + rng.normal(0, 0.004, (HEIGHT, WIDTH, 3))
+        pictures[k, ..., :3] = (shown.clip(0, 1) * 65535).round()
+    K = np.array([[64.0, 0, WIDTH / 2], [0, 64, HEIGHT / 2], [0, 0, 1]], np.float32)
+    frames = PosedFrames("a", VIEWMAT, K, np.arange(n), times)
+    mean = waves(x, y).astype(np.float32)
+    scene = solve_colours(plane_gaussians(mean, K, VIEWMAT, 600), mean, VIEWMAT, K).detach()
+    line = SimpleNamespace(
+        course=lambda t: np.stack([f(2 * np.pi * hz * t) for f in (np.cos, np.sin)]), between_share=kept
+    )
+    shown, own = courses([line], times, b_frames if is_known else None)
+    observations = Observations(
+        Kind.flat, Clock.synchronous, [frames], ImageStack(pictures), 30.0, n, True,
+        time_courses=shown, own_courses=own, steady_hz=(hz,),
+    )  # fmt: skip
+    fit = fit_motion(scene, observations)
+    means = fit.gaussians.means.numpy()
+    rows = pixel_rows(means, VIEWMAT, K, (WIDTH, HEIGHT))[0]
+    (k,) = np.flatnonzero(np.abs(fit.motion.freqs_hz - hz) < 0.01)
+    right = np.einsum("nj,nj->n", rows[:, 0], fit.motion.displacement[k])
+    at = means @ VIEWMAT[:3, :3].T + VIEWMAT[:3, 3]
+    places = at[:, :2] / at[:, 2:] * 64 + [WIDTH / 2, HEIGHT / 2]
+    inside = (np.abs(places - [36.5, 24.5]) < [10, 8]).all(1)
+    return abs(np.median(right[inside] * np.exp(-0.4j))) / 0.25
+
+
+def test_what_b_frames_lose_of_a_vibration_is_no_part_of_its_amplitude():
+    whole = amplitude(1.0, True)
+    assert 0.8 < whole < 1.05
+    assert amplitude(0.5, True) == pytest.approx(whole, rel=0.03)
+    assert amplitude(0.5, False) < 0.75 * whole
+
+
+def test_b_frames_keep_a_share_where_the_other_frames_do_not_tell_vibrations_apart():
+    """At 10 Hz, 3.3 and 6.7 Hz are one."""
+    times, b_frames = np.arange(90) / 30, np.arange(90) % 3 > 0
+
+    def line(hz, share):
+        return SimpleNamespace(
+            course=lambda t: np.stack([f(2 * np.pi * hz * t) for f in (np.cos, np.sin)]), between_share=share
+        )
+
+    shown, own = courses([line(3.3, 1.0), line(6.7, 0.4)], times, b_frames)
+    assert shown.shape == own.shape == (4, 90)
+    assert np.allclose(shown[2:], own[2:] * np.where(b_frames, 0.4, 1))
+    shown, own = courses([line(3.3, 1.0), line(5.9, 0.4)], times, b_frames)
+    assert shown.shape == own.shape == (6, 90)
+    assert not own[4:].any()
+    assert not shown[2:4, b_frames].any()
+    assert not shown[4:, ~b_frames].any()
+    assert np.array_equal(shown[:2], own[:2])

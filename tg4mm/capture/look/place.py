@@ -20,7 +20,7 @@ from tg4mm.capture.look.model import Readout
 from tg4mm.capture.look.pools import AggregationWindow
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA
 from tg4mm.capture.look.rows import by_phases
-from tg4mm.capture.look.scene import FEWEST_OF_KIND, lacks
+from tg4mm.capture.look.scene import lacks
 from tg4mm.capture.look.search import PoolLine, Search, images
 from tg4mm.capture.look.spectra import LOG2, spectrum
 from tg4mm.capture.tracking.template import GAIN_ERROR
@@ -35,6 +35,7 @@ _FILLED = 0.6  # share of pictures in which a seed is seen
 _ALIKE = 13.3  # χ² of 4 degrees of freedom, 1 %
 _GROWS = 4  # times
 _SEEN = 0.04  # of the region's information squared that a picture must have
+_FEWEST_OTHERS = 24  # frames of a kind, from which its share of an amplitude is known
 _KEEPS, _KEEPS_SPREAD = 0.8, 0.6  # what B-frames keep: 1 − .8 τ, ± .6 τ
 _PREDICTED = 0.4  # of P-frames' lack of detail
 _READOUT_CELLS, _READOUT_STATISTIC = 5, 25.0
@@ -323,19 +324,26 @@ class _Placing:
         return amplitude, float(np.hypot(noise_px, relative * amplitude)), direction, phase, noise_px
 
     def _between_share(self, region: np.ndarray) -> float:
-        """Return the share of a region's amplitude that B-frames show of the others'; 1 where these do not tell it."""
+        """Return the share of a region's amplitude that B-frames keep; 1 where nothing shows that it is less.
+
+        That they lack detail shows it, or a significant difference.
+        """
         scene, hz = self.search.scene, self.line.vibration.hz
         series, seen = self._series(region)
-        others, between = seen & ~scene.between, seen & scene.between
-        if not scene.treats_apart or min(others.sum(), between.sum()) <= FEWEST_OF_KIND:
+        kinds = seen & ~scene.between, seen & scene.between
+        few = min(int(rows.sum()) for rows in kinds) < _FEWEST_OTHERS
+        if few or mirrored(self.search.times[kinds[0]], hz):
             return 1.0
-        if mirrored(self.search.times[others], hz):
-            return 1.0
-        own, theirs = (
-            complex_of(np.linalg.lstsq(self.basis[rows], series[rows], rcond=None)[0])
-            for rows in (others, between)
+        fits = [np.linalg.lstsq(self.basis[rows], series[rows], rcond=None)[0] for rows in kinds]
+        noise = sum(
+            ((series[rows] - self.basis[rows] @ fit) ** 2).mean() / rows.sum()
+            for rows, fit in zip(kinds, fits, strict=True)
         )
-        return float(np.clip(np.vdot(own, theirs).real / max(np.vdot(own, own).real, 1e-12), 0, 1))
+        others, between = (complex_of(fit) for fit in fits)
+        power = max(float(np.vdot(others, others).real), 1e-12)
+        share = float(np.vdot(others, between).real) / power
+        is_less = scene.treats_apart or 1 - share > 2 * float(np.sqrt(4 * noise / power))
+        return min(max(share, 0.0), 1.0) if is_less else 1.0
 
     def _predicted_lack(self) -> float:
         """The share of detail that P-frames lack beside I-frames."""
