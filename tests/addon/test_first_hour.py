@@ -169,6 +169,7 @@ def test_fifty_modes_of_a_recording_without_end(extension, tmp_path, n_timesteps
     start = time.process_time()
     obj = import_splat(tmp_path / "long.ply")
     assert bpy.context.scene.frame_end == 1_048_574
+    setter(extension, obj)(extension.names.ALPHA, -1.0)  # at rest
     bpy.context.scene.cursor.location = splat.means[splat.opacities.argmax()]
     assert bpy.ops.tg4mm.probe(source="CURSOR") == {"FINISHED"}
     found = extension.probe.picking.stored(obj)

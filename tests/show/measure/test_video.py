@@ -13,6 +13,7 @@ from tests.capture.tracking.test_region import FPS, FRAMES, SIDE, TIMES, moving,
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.show.measure import measure, parse_sensor, prepare_video
+from tg4mm.show.measure.limits import with_losses
 from tg4mm.show.measure.measurement import measure_one
 
 SENSOR = "plate=pixel:film,32,32,18"
@@ -88,7 +89,8 @@ def coded(path, seed, crf, noise, contrast, motion, px):
     mode = FilmMode(np.broadcast_to([px * 0.8, px * 0.6], (h, w, 2)), motion)
     layers = [Layer(back, None, [], 0.6), Layer(plate, (40, 30, 120, 90), [mode], 0.6)]
     write_film(path, Film(layers, 30, 240, noise, seed=seed).pictures(), 30, Coding("libx264", 0, crf=crf))
-    result = measure_one(prepare_video(path), parse_sensor(f"a=pixel:{path.stem},80,60,25"))
+    scene = prepare_video(path)
+    (result,) = with_losses(scene, [measure_one(scene, parse_sensor(f"a=pixel:{path.stem},80,60,25"))])
     return result, result.spectrum.peaks[0]
 
 
@@ -101,12 +103,14 @@ def test_a_steady_vibration_that_a_codec_fades_has_no_damping(tmp_path, film):
     assert result.damping[0] is None
 
 
-def test_what_rings_down_in_a_coded_film_has_its_damping(tmp_path):
+@pytest.mark.parametrize("seed", [3, 7])
+def test_what_rings_down_in_a_coded_film_has_its_damping(tmp_path, seed):
+    """As it fades, the codec takes more of it; the test of the codec tells how much that may be."""
     decay = 0.03 * 2 * np.pi * 3.18
 
     def motion(t):
         return float(np.exp(-decay * t) * np.cos(2 * np.pi * 3.18 * t + 1))
 
-    result, peak = coded(tmp_path / "f.mp4", 3, 22, 2.2, 0.07, motion, 0.5)
+    result, peak = coded(tmp_path / "f.mp4", seed, 22, 2.2, 0.07, motion, 0.5)
     assert peak.line.change == "decays"
-    assert abs(result.damping[0].ratio - 0.03) < 3 * result.damping[0].deviation < 0.03
+    assert abs(result.damping[0].ratio - 0.03) < 3 * result.damping[0].deviation < 0.06

@@ -148,7 +148,7 @@ class Lines:
 
 @dataclass(frozen=True)
 class CodecChange:
-    """What a video's codec may let a steady line grow or fade by over the record, as a logarithm.
+    """The most that a video's codec may let a steady line grow or fade by over the record, as a logarithm.
 
     The share that it takes of a motion varies while it refines pictures: at most the share of detail that predicted
     frames lack, and at most the power that they lack.
