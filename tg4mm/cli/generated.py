@@ -73,25 +73,21 @@ def _parameter(name: str, field: Any, spelling: Spelling) -> inspect.Parameter:
         kind = get_args(kind)[0]
     has_default = default is not REQUIRED and not is_argument
     shown = _shown(default, spelling) if has_default else ""
-    checks = [Number(gte=spelling.at_least)] if spelling.at_least is not None else []
     note = Parameter(
         name=spelling.metavar if is_argument else spelling.name or f"--{name.replace('_', '-')}",
         help=spelling.about,
         negative=spelling.off,
         show_default=(lambda value: shown) if shown else False,
-        validator=checks,
+        validator=[] if spelling.at_least is None else [Number(gte=spelling.at_least)],
         show_choices=False,
         allow_leading_hyphen=kind in _TEXTS,  # "-3,4 5,6" are corners of a polygon
         metavar=None if is_argument else _metavar(kind, spelling),
     )
+    place = inspect.Parameter.POSITIONAL_ONLY if is_argument else inspect.Parameter.KEYWORD_ONLY
     return inspect.Parameter(
         name,
         # several arguments may stand on both sides of options, which cyclopts allows for *arguments alone
-        inspect.Parameter.VAR_POSITIONAL
-        if is_many
-        else inspect.Parameter.POSITIONAL_ONLY
-        if is_argument
-        else inspect.Parameter.KEYWORD_ONLY,
+        inspect.Parameter.VAR_POSITIONAL if is_many else place,
         annotation=Annotated[kind, note],
         default=default if has_default else inspect.Parameter.empty,
     )
