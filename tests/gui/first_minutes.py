@@ -18,6 +18,10 @@ from .session import ACTIVE, Session
 SAMPLE = "tg4mm-sample.ply"
 FILE, IMPORT, SPLATS = (42, 14), (78, 311), (380, 499)  # in the menus, pixels
 PROBE = 58  # pixels from the button Blend as Trained to the header of the panel Probe
+READING, PROBE_TOP = (
+    "tg4mm.probe(source='CURSOR'",
+    110,
+)  # the button At 3D Cursor, pixels from the sidebar's top
 PATIENCE = 120  # times two seconds
 
 
@@ -42,10 +46,12 @@ def keep(blender, folder, number, width=1052):
     print(f"picture {number}: {time.strftime('%H:%M:%S')}", flush=True)
 
 
-def to_end(blender):
-    """Turn the wheel over the sidebar to its end."""
+def to_probe(blender):
+    """Turn the wheel over the sidebar until the panel Probe stands at its top."""
     box = blender.region("VIEW_3D", "UI")
     for _ in range(40):
+        if sidebar.find_button(blender, READING)[1] < box.top + PROBE_TOP:
+            break
         blender.click(*box.middle, button=5)
     blender.move(*blender.region("VIEW_3D").middle)
 
@@ -91,9 +97,9 @@ def walk(blender, folder):
     x, y = sidebar.find_button(blender, "tg4mm.blend_as_trained")
     blender.click(x, y + PROBE)
     time.sleep(5)
-    blender.click(*sidebar.find_button(blender, "tg4mm.probe(source='CURSOR'"))
+    blender.click(*sidebar.find_button(blender, READING))
     blender.wait(lambda: blender.value(f"'tg4mm_probe_label' in {ACTIVE}"), "the probe's reading")
-    to_end(blender)
+    to_probe(blender)
     keep(blender, folder, 5)
 
 
