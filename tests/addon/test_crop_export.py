@@ -53,11 +53,11 @@ def box(low, high):
 
 
 @pytest.fixture(params=[0, 1, 3])
-def told(request, tmp_path):
+def tagged(request, tmp_path):
     """A file that says everything a splat file can; SH degree 0, 1 and 3."""
     splat = some_splat(degree=request.param)
     write_splat(
-        tmp_path / "told.ply",
+        tmp_path / "tagged.ply",
         replace(
             splat,
             unit_scale_m=0.1,
@@ -67,12 +67,12 @@ def told(request, tmp_path):
             sh=2 * splat.sh,  # colours past what a screen shows
         ),
     )
-    return tmp_path / "told.ply"
+    return tmp_path / "tagged.ply"
 
 
-def test_what_is_exported_is_what_was_imported(extension, told, tmp_path):
-    import_splat(told)
-    found, wanted = exported(tmp_path / "out.ply"), read_splat(told)
+def test_what_is_exported_is_what_was_imported(extension, tagged, tmp_path):
+    import_splat(tagged)
+    found, wanted = exported(tmp_path / "out.ply"), read_splat(tagged)
     assert_alike(found, wanted)
     np.testing.assert_allclose(found.deviation, wanted.deviation, rtol=1e-6)
     assert (found.low_pass_px2, found.time_origin_s) == (0.3, 2.5)
@@ -146,8 +146,8 @@ def test_floaters_go_and_nothing_else(extension, tmp_path, by):
     ("linear", "metres"),
     [(np.diag([2.0, 2.0, 2.0]), 0.05), (np.diag([-1.0, 1.0, 1.0]), 0.1), (np.diag([1.0, 2.0, 0.5]), None)],
 )
-def test_export_is_in_world_axes_and_units(extension, told, tmp_path, linear, metres):
-    obj, splat = import_splat(told), read_splat(told)
+def test_export_is_in_world_axes_and_units(extension, tagged, tmp_path, linear, metres):
+    obj, splat = import_splat(tagged), read_splat(tagged)
     obj.scale, obj.rotation_euler, obj.location = np.diag(linear).tolist(), (0.3, -0.2, 1.0), (1, 2, 3)
     bpy.context.view_layer.update()
     world = np.array(obj.matrix_world)
@@ -163,9 +163,9 @@ def test_export_is_in_world_axes_and_units(extension, told, tmp_path, linear, me
 
 
 @pytest.mark.parametrize("joined", [False, True])
-def test_export_after_apply_transform_is_of_the_same_scene(extension, told, tmp_path, joined):
-    other = import_splat(told) if joined else None
-    obj, splat = import_splat(told), read_splat(told)
+def test_export_after_apply_transform_is_of_the_same_scene(extension, tagged, tmp_path, joined):
+    other = import_splat(tagged) if joined else None
+    obj, splat = import_splat(tagged), read_splat(tagged)
     obj.scale, obj.rotation_euler, obj.location = (-2.0, 2.0, 2.0), (0.3, -0.2, 1.0), (1, 2, 3)
     bpy.context.view_layer.update()
     world = np.array(obj.matrix_world)

@@ -37,9 +37,7 @@ from tg4mm.run import UNCERTAINTY, Run
 
 _SCENE = "scene"
 _VERSION = 19  # of a checkpoint; steps of another version are repeated
-_RESOLVED = (
-    4.0  # times the noise of the best known combination of vibrations, that of the least known, at most
-)
+_RESOLVED = 4.0  # noise of the worst over that of the best determined combination of vibrations, at most
 _LOG = logging.getLogger("tg4mm")
 
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)

@@ -1,4 +1,4 @@
-"""Blender 5.3's own splats: what they are given, and that a Blender without them is told so."""
+"""Blender 5.3's own splats: what they are given, and that a Blender without them reports it."""
 
 import numpy as np
 import pytest

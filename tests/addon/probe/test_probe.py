@@ -291,5 +291,5 @@ def test_the_panel_and_the_table_show_it(extension, sure, tmp_path):
     assert shown == f"{e.amplitude:.4g} ± {deviation[1, 7]:.2g} mm"
     assert bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "a.csv"), content="PHASORS") == {"FINISHED"}
     rows = table(tmp_path / "a.csv")[1]
-    told = [row["amplitude_standard_deviation_scene_units"] for row in rows]
-    np.testing.assert_allclose(told, deviation[:, 7], rtol=1e-6)
+    stated = [row["amplitude_standard_deviation_scene_units"] for row in rows]
+    np.testing.assert_allclose(stated, deviation[:, 7], rtol=1e-6)

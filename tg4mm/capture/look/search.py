@@ -37,10 +37,8 @@ _SUPPORT = 7.0  # statistic of the place without its strongest cell: one of 140 
 _TRIES = 2  # at one frequency
 _CLEAR = 4.0  # times what noise exceeds: a place at a rim has little support, one beside it more
 _UNRESOLVED = 0.5  # share of a line's columns that others must leave: that of half a bin between them
-_FRAMES_A_COLUMN, _FEW_LINES = (
-    2,
-    8,
-)  # frames for each coefficient of lines, at least, and lines for which there are
+_FRAMES_A_COLUMN = 2  # frames for each coefficient of the lines, at least
+_FEW_LINES = 8  # lines that the record must support, for every position to have an amplitude of its own
 _IMAGE_SURE = 10.0  # times weaker than a line it may be an image of
 
 
@@ -187,7 +185,7 @@ class Search:
     def _is_unresolved(self, vibration: Vibration) -> bool:
         """Return whether the columns of the lines before explain most of a line.
 
-        It is then an image of one of them by the order of B-frames, or cannot be told from one.
+        It is then an image of one of them by the order of B-frames, or cannot be distinguished from one.
         """
         if not self.lines:
             return False
