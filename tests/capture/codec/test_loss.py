@@ -43,8 +43,8 @@ def measured(path, hz):
     made = probe(path, 0.0, N)
     times = np.arange(N) / FPS
     (u,) = shifts_of(made.luma, [REGION.astype(np.float32)], times)
-    gain, error = gain_of(u, [MeasuredTone(hz, np.array([AMPLITUDE + 0j, 0]))], 0, times)
-    return gain * AMPLITUDE, error * AMPLITUDE
+    found = gain_of(u, [MeasuredTone(hz, np.array([AMPLITUDE + 0j, 0]))], 0, times)
+    return found.gain * AMPLITUDE, found.error * AMPLITUDE
 
 
 @pytest.mark.parametrize("hz", [2.5, 9.0])
@@ -90,6 +90,9 @@ def test_an_amplitude_is_corrected_by_what_was_let_through_unless_it_is_marked()
     assert before_compression(0.4, 0.03, None) == (0.4, 0.03)
     assert before_compression(0.4, 0.03, Loss(0.3, 0.1, "smaller")) == (0.4, 0.03)
     assert before_compression(0.4, 0.03, Loss(1.06, 0.1))[0] == 0.4  # nothing is added by a codec
+    assert (
+        before_compression(0.4, 0.03, Loss(1.25, 0.1, faster=0.2))[0] == 0.32
+    )  # but by a decay that it makes
 
 
 @pytest.mark.parametrize("flags", list(itertools.product([False, True], repeat=3)))

@@ -124,6 +124,18 @@ def test_a_direction_that_is_hardly_seen_does_not_hide_the_others(turn):
     assert alike.deviation > 0.1 if turn else alike.deviation == pytest.approx(0.01)
 
 
+def test_a_direction_of_large_noise_is_reported_where_the_motion_stands_out_of_it():
+    """A codec leaves noise of .0002 px across a brick wall's joints and of .02 px along them, where .3 px vibrate."""
+    rng, angle = np.random.default_rng(0), 2 * np.pi * 4.0 * TIMES
+    noise = np.array([2e-4, 2e-2])
+    values = np.stack([0.002 * np.sin(angle), 0.3 * np.cos(angle)], 1) + rng.normal(0, noise, (60, 2))
+    orbit = orbit_of(spectrum_of(TIMES, values, np.tile(noise, (60, 1))).peaks[0])
+    assert orbit.amplitude == pytest.approx(0.3, abs=0.015)
+    quiet = np.stack([0.002 * np.sin(angle), rng.normal(0, 0.02, 60)], 1)
+    orbit = orbit_of(spectrum_of(TIMES, quiet, np.tile(noise, (60, 1))).peaks[0])
+    assert orbit.amplitude == pytest.approx(0.002, abs=2e-4)  # noise along the joints is left out
+
+
 def test_a_direction_that_is_told_is_a_part_of_the_main_axis_however_unsure():
     orbit = orbit_in(np.array([0.4, 0, 0.9], complex), np.array([0.01, 0.01, 0.29]), ALL)
     assert orbit.amplitude == pytest.approx(np.hypot(0.4, 0.9))

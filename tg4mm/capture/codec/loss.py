@@ -10,13 +10,13 @@ Nothing is fitted. If the file names no available encoder, the pictures decide: 
 and whose noise is new in each frame has lost nothing; any other is marked.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.codec.trial import CodecSample, MeasuredTone, is_lossless, probe, through
+from tg4mm.capture.codec.trial import CodecSample, MeasuredTone, TestedTone, is_lossless, probe, through
 from tg4mm.capture.video import ALONE, BETWEEN, FORWARD, av_module
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.lines import CodecChange
@@ -36,6 +36,7 @@ _QUICK_PERIODS, _QUICK_PIXELS, _QUICK_MOST = 3, 4e6, 12e6
 _GAINS = 0.15, 1.1  # that the second tone is corrected by
 _MOST_LOST = 0.9  # share of detail: what is left of a line that is found
 _FEWEST_OF_KIND = 8  # frames, more than which show what a kind lacks
+_FOLDS = 3  # e-foldings of a decaying tone that its test contains
 _ALIKE = 0.9  # first gains from which a second tone would be as large as the first within the deviation
 
 
@@ -46,6 +47,9 @@ class Loss:
     gain: float  # 1 where nothing is lost; NaN where it is not known
     deviation: float  # standard deviation of the gain
     why: str = ""  # the mark: why the true amplitude is larger, by an amount that is not known
+    # of a decaying tone: what compression adds to its decay, per second, with its deviation; None: steady, or unknown
+    faster: float | None = None
+    faster_deviation: float = 0.0
 
 
 def codec_losses(
@@ -82,7 +86,8 @@ def codec_losses(
     slowest = max(min(tone.frequency_hz for of_region in tones for tone in of_region), 1e-3)
     height, width = regions[0].shape
     periods, pixels = (_QUICK_PERIODS, _QUICK_PIXELS) if quick else (_PERIODS, _PIXELS)
-    fewest = int(max(_FEWEST, periods * (fps or 30.0) / slowest))
+    folds = (t.start_s + _FOLDS / t.decay_per_s for own in tones for t in own if t.decay_per_s > 0)
+    fewest = int(max(_FEWEST, (fps or 30.0) * max(periods / slowest, *folds, 0.0)))
     most = max(fewest, int(pixels / (height * width)))
     try:
         if is_lossless(video):
@@ -132,30 +137,51 @@ def _tested(
         of_group = [
             [replace(t, phasor=made.orientation.stored_vector(t.phasor)) for t in tones[k]] for k in group
         ]
-        gains, length = [np.ones(len(t)) for t in of_group], min(frames, len(times))
+        shown, length = of_group, min(frames, len(times))
         for again in range(2):
-            scaled = [
-                [
-                    MeasuredTone(t.frequency_hz, t.phasor / np.clip(g, *_GAINS))
-                    for t, g in zip(ts, gs, strict=True)
-                ]
-                for ts, gs in zip(of_group, gains, strict=True)
-            ]
-            inside, shown = [masks[k] for k in group], times[:length]
-            results = through(made, inside, scaled, shown, seed + again, without_between)
-            gains = [np.array([g for g, _ in result]) for result in results]
-            needed = (
-                length * (SCATTER * max(error for result in results for _, error in result) / BESIDE) ** 2
-            )
-            if needed <= length and min(g.min() for g in gains) > _ALIKE:
+            inside = [masks[k] for k in group]
+            results = through(made, inside, shown, times[:length], seed + again, without_between)
+            errors = [tone.error for result in results for tone in result]
+            needed = length * (SCATTER * max(errors) / BESIDE) ** 2
+            is_alike = all(_is_alike(tone, own) for tone, own in _pairs(results, shown))
+            if again or (needed <= length and is_alike):
                 break
+            shown = [
+                [_before(*three) for three in zip(*of_region, strict=True)]
+                for of_region in zip(of_group, shown, results, strict=True)
+            ]
             length = int(np.clip(needed, length, len(times)))
-        for k, result in zip(group, results, strict=True):
-            found[k] = [_loss(gain, float(np.hypot(SCATTER * error, BESIDE))) for gain, error in result]
+        for k, result, own in zip(group, results, shown, strict=True):
+            found[k] = [_loss(tone, sent) for tone, sent in zip(result, own, strict=True)]
     return found
 
 
-def _loss(gain: float, deviation: float) -> Loss:
+def _pairs(
+    results: Sequence[Sequence[TestedTone]], shown: Sequence[Sequence[MeasuredTone]]
+) -> Iterator[tuple[TestedTone, MeasuredTone]]:
+    for result, own in zip(results, shown, strict=True):
+        yield from zip(result, own, strict=True)
+
+
+def _is_alike(found: TestedTone, sent: MeasuredTone) -> bool:
+    """Return whether a second tone would be as large, and decay as fast, within the deviation."""
+    is_as_fast = sent.decay_per_s <= 0 or abs(found.decay_per_s / sent.decay_per_s - 1) < 1 - _ALIKE
+    return found.gain > _ALIKE and bool(is_as_fast)
+
+
+def _before(measured: MeasuredTone, sent: MeasuredTone, found: TestedTone) -> MeasuredTone:
+    """Return the tone that, after what the encoding made of the sent one, would be the measured one."""
+    decay = sent.decay_per_s
+    if decay > 0 and np.isfinite(found.decay_per_s):
+        decay = float(np.clip(measured.decay_per_s - found.decay_per_s + decay, decay / 3, 3 * decay))
+    return replace(measured, phasor=measured.phasor / np.clip(found.gain, *_GAINS), decay_per_s=decay)
+
+
+def _loss(found: TestedTone, sent: MeasuredTone) -> Loss:
+    gain, deviation = found.gain, float(np.hypot(SCATTER * found.error, BESIDE))
+    if gain >= LOST and sent.decay_per_s > 0:
+        error = np.hypot(SCATTER * found.decay_error, np.sqrt(2) * BESIDE * sent.decay_per_s)
+        return Loss(gain, deviation, "", found.decay_per_s - sent.decay_per_s, float(error))
     if gain >= LOST:
         return Loss(gain, deviation)
     kept = max(gain, 0.0)
@@ -216,5 +242,7 @@ def before_compression(amplitude: float, deviation: float, loss: Loss | None) ->
     """
     if loss is None or loss.why:
         return amplitude, deviation
-    gain = min(loss.gain, 1.0)
+    gain = (
+        loss.gain if loss.faster is not None else min(loss.gain, 1.0)
+    )  # a false decay makes the start larger
     return amplitude / gain, float(np.hypot(deviation, amplitude * loss.deviation / gain)) / gain

@@ -15,6 +15,8 @@ from tg4mm.capture.tracking.region import region_motions
 from tg4mm.capture.tracking.registration import Box, resampled
 from tg4mm.capture.video import ALONE, BETWEEN, av_module, file_url, opened, stream_of
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.lines import fit_lines
+from tg4mm.core.lines.record import envelope
 
 _NOISE_PX = 8.0  # over which the key frames' noise is averaged
 _AROUND_PX = 12  # about a region, that moves with it in the test: a codec decides by blocks of 16 pixels
@@ -61,7 +63,24 @@ class MeasuredTone:
     """A measured vibration of one region."""
 
     frequency_hz: float  # of the pictures' clock
-    phasor: np.ndarray  # [2] complex, pixels right and down, zero to peak
+    phasor: np.ndarray  # [2] complex, pixels right and down, zero to peak, where the envelope is 1
+    decay_per_s: float = 0.0  # of the envelope, which is 1 at `start_s`
+    start_s: float = 0.0  # since the first frame: before it there is no motion
+
+    def wave(self, times: np.ndarray) -> np.ndarray:
+        """Return [F] complex at times [F] in seconds: the phasor's factor."""
+        turning = np.exp(2j * np.pi * self.frequency_hz * times)
+        return turning * envelope(times, self.decay_per_s, self.start_s, self.start_s or None)
+
+
+@dataclass(frozen=True)
+class TestedTone:
+    """What an encoding leaves of a tone."""
+
+    gain: float  # of its amplitude
+    error: float  # standard deviation of the gain by noise
+    decay_per_s: float = 0.0  # as measured; NaN where none is resolved
+    decay_error: float = 0.0
 
 
 def through(
@@ -71,8 +90,8 @@ def through(
     times: np.ndarray,
     seed: int,
     without_between: bool,
-) -> list[list[tuple[float, float]]]:
-    """Gain and its standard error of each region's tones, after one encoding."""
+) -> list[list[TestedTone]]:
+    """Measure each region's tones after one encoding."""
     most = 255 if made.pixels == "yuv420p" else 1023
     rng, is_new = np.random.default_rng(seed), np.diff(times, prepend=-1) > 0
     mean, height = made.planes.mean(0, dtype=np.float32), made.luma.shape[1]
@@ -128,7 +147,7 @@ def _noise(made: CodecSample, mean: np.ndarray) -> np.ndarray:
 
 def _series(tones: Sequence[MeasuredTone], times: np.ndarray, axis: int) -> np.ndarray:
     """Return [F] pixels."""
-    waves = [(t.phasor[axis] * np.exp(2j * np.pi * t.frequency_hz * times)).real for t in tones]
+    waves = [(t.phasor[axis] * t.wave(times)).real for t in tones]
     return np.sum(waves, axis=0)
 
 
@@ -170,16 +189,15 @@ def shifts_of(seen: np.ndarray, masks: Sequence[np.ndarray], times: np.ndarray) 
     return [motion.whole for motion in found]
 
 
-def gain_of(u: np.ndarray, tones: Sequence[MeasuredTone], j: int, times: np.ndarray) -> tuple[float, float]:
-    """Return the gain of tone j in the shifts u [F, 2].
-
-    Along its direction, with all tones fitted, and the error that noise makes.
-    """
+def gain_of(u: np.ndarray, tones: Sequence[MeasuredTone], j: int, times: np.ndarray) -> TestedTone:
+    """Return the gain of tone j in the shifts u [F, 2], along its direction, with all tones fitted."""
+    if tones[j].decay_per_s > 0:
+        return _decaying_gain(u, tones, j, times)
     main = tones[j].phasor
-    waves = [f(2 * np.pi * t.frequency_hz * times) for t in tones for f in (np.cos, np.sin)]
+    waves = [part for wave in (t.wave(times) for t in tones) for part in (wave.real, -wave.imag)]
     design = np.stack([np.ones(len(times)), *waves], 1)
     answer, *_ = np.linalg.lstsq(design, u, rcond=None)
-    phasor = answer[1 + 2 * j] - 1j * answer[2 + 2 * j]
+    phasor = answer[1 + 2 * j] + 1j * answer[2 + 2 * j]
     size = float((np.abs(main) ** 2).sum())
     gain = float((phasor @ main.conj()).real) / size
     left = u - design @ answer
@@ -187,12 +205,27 @@ def gain_of(u: np.ndarray, tones: Sequence[MeasuredTone], j: int, times: np.ndar
     steps = np.diff(times)
     if np.ptp(steps) > _UNEVEN * steps[0]:  # frames are left out: as of white noise
         power = (left**2).sum(0) / max(len(times) - design.shape[1], 1)
-        return gain, float(np.sqrt(2 / len(times) * (power * direction**2).sum() / size))
+        return TestedTone(gain, float(np.sqrt(2 / len(times) * (power * direction**2).sum() / size)))
     spectrum = np.fft.rfft(left * np.hanning(len(left))[:, None], axis=0)
     hz = np.arange(len(spectrum)) / (len(times) * (times[1] - times[0]))
     near = np.argsort(np.abs(hz - tones[j].frequency_hz))[:16]
     power = (np.abs(spectrum[near]) ** 2).mean(0) / (np.hanning(len(left)) ** 2).sum()
-    return gain, float(np.sqrt(2 / len(times) * (power * direction**2).sum() / size))
+    return TestedTone(gain, float(np.sqrt(2 / len(times) * (power * direction**2).sum() / size)))
+
+
+def _decaying_gain(u: np.ndarray, tones: Sequence[MeasuredTone], j: int, times: np.ndarray) -> TestedTone:
+    """Return amplitude and decay of tone j as the measurement itself determines them, from its beginning on."""
+    own, lost = tones[j], TestedTone(0.0, 0.0, np.nan, np.nan)
+    since = times >= own.start_s - 1e-9
+    if since.sum() < 4 * len(tones) + 12:
+        return lost
+    line = fit_lines(u[since], times[since], [t.frequency_hz for t in tones]).lines[j]
+    size = float(np.linalg.norm(own.phasor))
+    if line.decay_per_s <= 0 or not size:
+        return lost
+    error = float(np.linalg.norm(line.amplitude_deviation * np.abs(own.phasor))) / size**2
+    decay_error = float(np.sqrt(line.covariance[1, 1]))
+    return TestedTone(float(np.linalg.norm(line.phasor)) / size, error, line.decay_per_s, decay_error)
 
 
 def probe(path: Path, start_s: float, most: int) -> CodecSample | None:

@@ -26,7 +26,6 @@ _BINS = 8  # to which a peak is fitted, at least
 _WINDOW = 1.44  # full width at half power of Hann's window, over 1 / length
 _RESOLVED = 0.5  # times the window's width: a narrower peak is not resolved
 _CORRELATED = 1.9 * 1.2  # neighbouring bins of Hann's window, half-overlapping windows [Welch 1967]
-_LEAST_GAIN = 0.05  # of a codec: less is noise of its test
 HALF_POWER = "half-power bandwidth"
 
 
@@ -48,20 +47,19 @@ def damping_of(series: Series, peak: Peak) -> Damping | None:
     return half_power(series.times_s, series.displacement @ orbit_of(peak).direction, peak.frequency_hz)
 
 
-def with_loss(found: Damping | None, whole: Loss, faded: Loss) -> Damping | None:
-    """Add the possible effect of compression on a decay to its deviation.
+def with_loss(found: Damping | None, loss: Loss) -> Damping | None:
+    """Take from the damping what compression adds, by the blind test with a tone that decays alike.
 
-    Compression leaves a share g(a) of an amplitude a. Between a and a / e, which determine a decay, the decay is
-    overestimated by ln g(a) − ln g(a / e) of itself. None where most of the amplitude is known to be lost: what is left
-    of a steady vibration may do anything.
+    None where most of the amplitude is known to be lost: what is left of a steady vibration may do anything.
     """
-    gains = np.array([whole.gain, faded.gain])
-    if whole.gain < LOST:
+    if loss.gain < LOST:
         return None
-    if found is None or found.method == HALF_POWER or not np.isfinite(gains).all():
+    if found is None or loss.faster is None:
         return found
-    false = abs(float(np.diff(np.log(np.maximum(gains, _LEAST_GAIN)))[0]))
-    return replace(found, deviation=float(np.hypot(found.deviation, found.ratio * false)))
+    per_decay = found.ratio / found.decay_per_s
+    ratio, error = found.ratio - per_decay * loss.faster, per_decay * loss.faster_deviation
+    deviation = float(np.hypot(found.deviation, error))
+    return replace(found, ratio=ratio, deviation=deviation, decay_per_s=found.decay_per_s - loss.faster)
 
 
 def _line_of(series: Series, hz: float) -> Line | None:

@@ -6,11 +6,12 @@ with the frame: the residual, through the gradients of the moved picture, gives 
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, shift
 
-from tg4mm.capture.codec import Loss, MeasuredTone, codec_losses
+from tg4mm.capture.codec import MeasuredTone, codec_losses
 from tg4mm.capture.pictures import over_white
 from tg4mm.core.lines import FEWEST
 from tg4mm.fit.motion.mode_selection import frequency_notes
@@ -18,7 +19,7 @@ from tg4mm.show.maps import pixel_rows
 from tg4mm.show.measure.residuals import MeasuredView
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
-from tg4mm.show.measure.spectrum import Peak, main_is_above
+from tg4mm.show.measure.spectrum import main_is_above
 
 _FRAMES = 6  # of the largest motion
 _LOOKED_AT_PX = 0.3  # smaller motion is in the linear range of every camera picture
@@ -215,40 +216,27 @@ def _of_sensor(scene: Prepared, result: SensorResult) -> Iterator[str]:
 
 
 def with_losses(scene: Prepared, results: Sequence[SensorResult]) -> list[SensorResult]:
-    """Add the part of every peak that compression let through; without a video in the run nothing changes.
-
-    Decaying peaks are also tested when they are weaker by a factor e, since the fitted decay depends on that.
-    """
+    """Add the part of every peak that compression let through; without a video in the run nothing changes."""
     video = scene.video
     if video is None or len(scene.observations.frames) != 1:
         return list(results)
     regions = [_region(scene, result) for result in results]
-    fps = scene.observations.fps
-
-    def tested(tones: list[list[MeasuredTone]]) -> list[tuple[Loss, ...]]:
-        found = codec_losses(video.path, regions, tones, fps, video.from_s, video.repeats)
-        return [tuple(own) for own in found]
-
-    losses = tested([_tones(result) for result in results])
-    rings = [any(_decays(p) for p in result.spectrum.peaks) for result in results]
-    faded = tested([_tones(r, 1 / np.e) if own else [] for r, own in zip(results, rings, strict=True)])
-    each = zip(results, losses, faded, strict=True)
-    return [result.with_(losses=own, faded=weaker) for result, own, weaker in each]
+    tones = [_tones(result) for result in results]
+    found = codec_losses(video.path, regions, tones, scene.observations.fps, video.from_s, video.repeats)
+    return [result.with_(losses=tuple(own)) for result, own in zip(results, found, strict=True)]
 
 
-def _decays(peak: Peak) -> bool:
-    return peak.line is not None and peak.line.decay_per_s > 0
-
-
-def _tones(result: SensorResult, of_decaying: float = 1.0) -> list[MeasuredTone]:
-    """Return the tones of all peaks, pixels right and down; decaying ones are multiplied by `of_decaying`."""
+def _tones(result: SensorResult) -> list[MeasuredTone]:
+    """Return the tones of all peaks, pixels right and down."""
     right, up = (result.labels.index(name) for name in ("right", "up"))
     flat = len(result.labels) == 2  # whose axes may be those of a tilted plane
-    out = []
+    first, out = float(result.series.times_s[0]), []
     for p in result.spectrum.peaks:
-        scale = result.px_per_unit * (of_decaying if _decays(p) else 1.0)
         moved = (p.phasor @ result.axes)[[0, 2]] if flat else p.phasor[[right, up]]
-        out.append(MeasuredTone(p.frequency_hz, moved * [1, -1] * scale))
+        tone = MeasuredTone(p.frequency_hz, moved * [1, -1] * result.px_per_unit)
+        if p.line is not None and p.line.decay_per_s > 0:
+            tone = replace(tone, decay_per_s=p.line.decay_per_s, start_s=p.line.from_s - first)
+        out.append(tone)
     return out
 
 

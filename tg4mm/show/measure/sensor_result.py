@@ -95,8 +95,6 @@ class SensorResult:
     b_frames: np.ndarray | None = None  # [T] bool: frames that the codec predicts from both sides
     codec: CodecChange | None = None  # what compression may change a steady line by
     losses: tuple[Loss, ...] = ()  # for every peak, the part that compression let through; () if not tested
-    # the same for decaying peaks when they are weaker by a factor e; () where nothing decays
-    faded: tuple[Loss, ...] = ()
     band: tuple[float, float] | None = None  # Hz, requested: it gets a peak, significant or not
     relation: Relation | None = None  # to the reference sensor; None for that sensor itself
     mask: np.ndarray | None = None  # [H, W] weights of the region's pixels, for a flat capture
@@ -210,7 +208,7 @@ class SensorResult:
         for k in range(len(self.spectrum.peaks)):
             record = max(self.records, key=lambda r: strength_of(r.peaks[k]))
             found.append(None if record.peaks[k].requested else damping_of(record.series, record.peaks[k]))
-        return tuple(map(with_loss, found, self.losses, self.faded) if self.faded else found)
+        return tuple(map(with_loss, found, self.losses) if self.losses else found)
 
 
 def relation_of(result: SensorResult, reference: SensorResult) -> Relation:

@@ -158,8 +158,8 @@ class Peak:
 
     @property
     def is_resolved(self) -> np.ndarray:
-        """Return [A] bool: observed axes that are at most ten times as uncertain as the best (`is_resolved`)."""
-        return is_resolved(self.floor)
+        """Return [A] bool: observed axes at most ten times as uncertain as the best, or with significant motion."""
+        return is_resolved(self.floor) | self.is_above
 
     @property
     def is_above(self) -> np.ndarray:
