@@ -16,8 +16,6 @@ from tg4mm.fit.motion.modes import ModalMotion
 
 FPS = 30.0
 IDEAL = TemporalFilter("ideal")
-BANDS_FPS = 30.0
-FILTERS_FPS = 30.0
 # [TG4MM] §IV.B: the bands of the published scenes
 BANDS = {3.0: (1.5, 4.5), 5.0: (3.5, 6.5)}
 
@@ -70,8 +68,9 @@ def test_every_band_has_its_own_factor():
     plan = Magnification((BandGain(2, 4, 20), BandGain(7, 9, -1)), filter=TemporalFilter("ideal"))
     frequencies = np.array([0.0, 2, 3, 4, 5, 8, 12])
     np.testing.assert_array_equal(plan.ideal(frequencies), [0, 20, 20, 20, 0, -1, 0])
-    np.testing.assert_array_equal(plan.response(frequencies, BANDS_FPS), plan.ideal(frequencies))
-    assert plan.checked(BANDS_FPS) is plan
+    np.testing.assert_array_equal(plan.response(frequencies, FPS), plan.ideal(frequencies))
+    assert plan.checked(FPS) is plan
+    assert Magnification.of(3.0).checked(FPS).alpha == 3.0
 
 
 @pytest.mark.parametrize(
@@ -85,37 +84,37 @@ def test_every_band_has_its_own_factor():
 )
 def test_bands_that_cannot_be_are_refused(bands, error, message):
     with pytest.raises(error, match=message):
-        Magnification(tuple(BandGain(*b, 5.0) for b in bands)).checked(BANDS_FPS)
+        Magnification(tuple(BandGain(*b, 5.0) for b in bands)).checked(FPS)
 
 
 def test_other_nonsense_is_refused():
     with pytest.raises(Tg4mmError, match="method is 'magic', expected modal, linear, phase"):
-        Magnification(method="magic").checked(BANDS_FPS)
+        Magnification(method="magic").checked(FPS)
     with pytest.raises(Tg4mmError, match="alpha is nan"):
-        Magnification((BandGain(1, 2, float("nan")),)).checked(BANDS_FPS)
+        Magnification((BandGain(1, 2, float("nan")),)).checked(FPS)
     with pytest.raises(Tg4mmError, match="amplitude percentile is 100, expected 0 to below 100"):
-        Magnification(amplitude_percentile=100.0).checked(BANDS_FPS)
+        Magnification(amplitude_percentile=100.0).checked(FPS)
     with pytest.raises(Tg4mmError, match="give one"):
-        Magnification(suppressed=True).checked(BANDS_FPS)
+        Magnification(suppressed=True).checked(FPS)
     with pytest.raises(Tg4mmError, match="cannot be used together"):
-        Magnification((BandGain(1, 2, 3.0),), everywhere=1.0).checked(BANDS_FPS)
+        Magnification((BandGain(1, 2, 3.0),), everywhere=1.0).checked(FPS)
 
 
 def filtered(kind, frequency, n=30, taps=0):
     """(a cosine of unit amplitude, what the filter makes of it) over n timesteps."""
-    x = np.cos(2 * np.pi * frequency * np.arange(n) / FILTERS_FPS)
-    response = TemporalFilter(kind, taps).response(BANDS[frequency], bins(n, FILTERS_FPS), FILTERS_FPS)
+    x = np.cos(2 * np.pi * frequency * np.arange(n) / FPS)
+    response = TemporalFilter(kind, taps).response(BANDS[frequency], bins(n, FPS), FPS)
     return x, apply_response(x, response)
 
 
 @pytest.mark.parametrize(("frequency", "degrees", "error"), [(3.0, 18.0, 0.3129), (5.0, 30.0, 0.5176)])
 def test_the_published_filter_is_half_a_sample_early(frequency, degrees, error):
-    response = TemporalFilter("published").response(BANDS[frequency], [frequency], FILTERS_FPS)[0]
+    response = TemporalFilter("published").response(BANDS[frequency], [frequency], FPS)[0]
     assert abs(response) == pytest.approx(1, abs=1e-9)  # in the middle of the band
     assert np.degrees(np.angle(response)) == pytest.approx(degrees, abs=1e-9)
     x, y = filtered("published", frequency)
     assert np.linalg.norm(y - x) / np.linalg.norm(x) == pytest.approx(error, abs=1e-4)
-    early = np.cos(2 * np.pi * frequency * (np.arange(30) + 0.5) / FILTERS_FPS)
+    early = np.cos(2 * np.pi * frequency * (np.arange(30) + 0.5) / FPS)
     np.testing.assert_allclose(y, early, atol=1e-9)
 
 
@@ -125,7 +124,7 @@ def test_the_published_filter_is_half_a_sample_early(frequency, degrees, error):
 def test_the_others_have_no_phase_error(kind, frequency, n):
     if n == 12 and frequency == 3.0:
         n = 20  # whole periods, shorter than the filter
-    response = TemporalFilter(kind).response(BANDS[frequency], bins(n, FILTERS_FPS), FILTERS_FPS)
+    response = TemporalFilter(kind).response(BANDS[frequency], bins(n, FPS), FPS)
     assert np.abs(response.imag).max() < 1e-12
     x, y = filtered(kind, frequency, n)
     np.testing.assert_allclose(y, x, atol=1e-9)
@@ -134,19 +133,20 @@ def test_the_others_have_no_phase_error(kind, frequency, n):
 @pytest.mark.parametrize("kind", ["zero-phase", "ideal", "published"])
 def test_what_is_outside_the_band_does_not_pass(kind):
     n = 120
-    t = np.arange(n) / FILTERS_FPS
+    t = np.arange(n) / FPS
     x = 3.0 + np.sin(2 * np.pi * 11 * t)
-    y = apply_response(x, TemporalFilter(kind).response((3.5, 6.5), bins(n, FILTERS_FPS), FILTERS_FPS))
+    y = apply_response(x, TemporalFilter(kind).response((3.5, 6.5), bins(n, FPS), FPS))
     assert np.abs(y).max() < (1e-12 if kind == "ideal" else 0.02)
+    assert TemporalFilter(kind).length(FPS) == (30 if kind == "published" else 31)
 
 
 def test_a_series_of_any_shape_is_filtered_along_time_and_keeps_float32():
     x = np.random.default_rng(0).standard_normal((20, 3, 5)).astype(np.float32)
-    response = TemporalFilter("ideal").response((2.0, 7.0), bins(20, FILTERS_FPS), FILTERS_FPS)
+    response = TemporalFilter("ideal").response((2.0, 7.0), bins(20, FPS), FPS)
     y = apply_response(x, response)
     assert y.dtype == np.float32
     spectrum = np.fft.rfft(x.astype(float), axis=0)
-    spectrum[(bins(20, FILTERS_FPS) < 2) | (bins(20, FILTERS_FPS) > 7)] = 0
+    spectrum[(bins(20, FPS) < 2) | (bins(20, FPS) > 7)] = 0
     np.testing.assert_allclose(y, np.fft.irfft(spectrum, 20, axis=0), atol=1e-5)
     with pytest.raises(ValueError, match=r"response has shape \(11,\), expected \(10,\) for T = 19"):
         apply_response(x[:19], response)

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from tests.fit.motion.scenes import gaussians_of, view_of
 from tests.fit.rasterize.oracle import make_scene
 from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import components
+from tg4mm.fit.motion import hyperparameters
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import (
     CANDIDATES,
@@ -145,12 +147,31 @@ class TestSmoothness:
         found = smoothest(weights, errors, 100.0)
         assert best < found < 3 * best  # the largest that explains nearly as much
 
-    def test_what_noise_adds_to_the_error_does_not_widen_the_choice(self):
-        """With ten times the noise, weights differ by as much in what they explain, and so the choice is the same."""
-        weights = np.array(CANDIDATES)
-        explained = 0.5 / (1 + np.log(weights / 1_000.0) ** 2 / 8)
-        little, much = (smoothest(weights, noise - explained, noise) for noise in (100.0, 1_000.0))
-        assert much == pytest.approx(little)
+    @pytest.mark.parametrize("noise", [100.0, 1_000.0])
+    def test_what_noise_adds_to_the_error_does_not_widen_the_choice(self, noise):
+        """However much it is, the last step of 0.02 in the logarithm that explains at least 98 % of the most."""
+        weights = np.geomspace(CANDIDATES[0], CANDIDATES[-1], 300)
+        found = smoothest(weights, noise - 0.5 / (1 + np.log(weights / 1_000.0) ** 2 / 8), noise)
+        assert -0.021 < np.log(found / 1_000.0) - np.sqrt(8 * (1 / 0.98 - 1)) < 0.001
+
+    @pytest.mark.parametrize(("gain", "tried"), [(0.1, 9), (0.001, 7), (-0.1, 7)])
+    def test_weights_are_tried_until_the_error_falls_no_more(self, monkeypatch, gain, tried):
+        """gain: of each candidate over the one before, where no motion leaves an error of 100 and the first one 99."""
+        asked = []
+
+        def fields_of(weights, *_):
+            asked.extend(weights)
+            return [np.array([weight]) for weight in weights]
+
+        def misfit(field, _):
+            return 99 - gain * np.log(field[0] / LEAST) / np.log(10**0.75) if field.any() else 100.0
+
+        monkeypatch.setattr(hyperparameters, "few_iterations", fields_of)
+        judge = SimpleNamespace(misfit=misfit)
+        posed = SimpleNamespace(operator=lambda fold, weight: judge if fold is FOLDS[1] else weight)
+        found = chosen_weight(np.ones((CAMERAS, 1)), posed, FOLDS, 4)
+        np.testing.assert_allclose(asked, LEAST * 10 ** (0.75 * np.arange(tried)))
+        assert found == pytest.approx(asked[-1] if gain > 0 else LEAST)
 
     def test_of_weights_that_are_alike_it_is_the_largest(self):
         """All explain the same, but for a part in a hundred."""
@@ -177,10 +198,11 @@ class TestNoise:
 
     def test_sinusoids_of_known_frequencies_are_not_asked(self, problem):
         """Mixed, they are one system, of which none is noise by itself."""
-        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size[::-1], 3)).astype(np.float32)
-        mixing = [np.eye(2, dtype=np.float32)] * CAMERAS
-        mixed = problem.changed(mixing=mixing)
-        assert not noise_components(targets(noise), mixed, FOLDS).any()
+        images = shown(problem, as_one(), 0.0).repeat(2, axis=1)
+        images[FOLDS[1].views, 1] *= -1  # nothing that both folds show
+        mixed = problem.changed(mixing=[np.eye(2, dtype=np.float32)] * CAMERAS)
+        assert not noise_components(targets(images), mixed, FOLDS).any()
+        assert noise_components(targets(images), problem, FOLDS).tolist() == [False, True]
 
 
 class TestPixels:
@@ -193,6 +215,7 @@ class TestPixels:
         assert weights[:, :, 5:35].mean() == pytest.approx(1 / (1 + 9 / 5), rel=0.1)
         assert weights[:, :, 45:75].mean() == pytest.approx(1 / (1 + 1 / 5), rel=0.1)
         assert 0 < weights.min() < weights.max() <= 1
+        assert pixel_weights(targets(images), np.array([False, True]), are_separate=False) is None
 
 
 def deviation():
