@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from tg4mm.capture.cameras import read_intrinsics, read_pose, world_to_camera
 from tg4mm.core.untrusted import JsonRecord
@@ -45,14 +46,8 @@ print("RESULT" + json.dumps(out))
 
 def rotation(q):
     """Rotation matrix [3, 3] of a quaternion wxyz of any length."""
-    w, x, y, z = np.array(q) / math.hypot(*q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    w, *xyz = q
+    return Rotation.from_quat([*xyz, w]).as_matrix()
 
 
 def pose_of(q, origin):

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tests.core.splatfile.conftest import random_splat
 from tg4mm.core.splatfile import SplatFile
@@ -256,15 +257,7 @@ def still(n: int = 60, k: int = 16, seed: int = 3) -> SplatFile:
 
 
 def covariances(splat: SplatFile) -> np.ndarray:
-    w, x, y, z = (splat.quats / np.linalg.norm(splat.quats, axis=1, keepdims=True)).astype(float).T
-    axes = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    ).transpose(2, 0, 1)
-    scaled = axes * splat.scales[:, None, :]
+    scaled = Rotation.from_quat(splat.quats[:, [1, 2, 3, 0]]).as_matrix() * splat.scales[:, None, :]
     return scaled @ scaled.transpose(0, 2, 1)
 
 
