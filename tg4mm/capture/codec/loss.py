@@ -23,6 +23,7 @@ from tg4mm.core.lines import CodecChange
 
 # The deviation of a gain: times the test's standard error, and beside it (docs/uncertainty.md, films of x264, x265)
 SCATTER, BESIDE = 1.15, 0.05
+_INEXACT = 0.4  # of what the test of a decaying tone corrects, which it is wrong by
 _TOO_LARGE = "it is too large for a test in seconds (tg4mm measure tests it)"
 _UNASKED = "the file names no encoder that can be tested"
 LOST = 0.5  # a gain below it is marked
@@ -180,8 +181,10 @@ def _before(measured: MeasuredTone, sent: MeasuredTone, found: TestedTone) -> Me
 def _loss(found: TestedTone, sent: MeasuredTone) -> Loss:
     gain, deviation = found.gain, float(np.hypot(SCATTER * found.error, BESIDE))
     if gain >= LOST and sent.decay_per_s > 0:
-        error = np.hypot(SCATTER * found.decay_error, np.sqrt(2) * BESIDE * sent.decay_per_s)
-        return Loss(gain, deviation, "", found.decay_per_s - sent.decay_per_s, float(error))
+        faster = found.decay_per_s - sent.decay_per_s
+        errors = SCATTER * found.decay_error, np.sqrt(2) * BESIDE * sent.decay_per_s, _INEXACT * faster
+        deviation = float(np.hypot(deviation, _INEXACT * (gain - 1)))
+        return Loss(gain, deviation, "", faster, float(np.linalg.norm(errors)))
     if gain >= LOST:
         return Loss(gain, deviation)
     kept = max(gain, 0.0)

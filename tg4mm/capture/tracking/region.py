@@ -34,6 +34,8 @@ _LEAST_ROOT = 1e-3
 _MOSTLY = 0.5  # share of a frame's change that no motion explains, from which it shows something else
 _AROUND = 2  # frames before and after that it may show a little of it
 _MOST_HIDDEN = 0.5  # of the frames
+_LEFT_BEHIND = 2.0  # times the most that motion changes: no more is left of blocks that a codec moves late or not at all
+_HALVED = 0.5  # of what a small motion leaves, beside what a codec leaves: less shows that it was a large motion
 Frames = Callable[[Box], np.ndarray]  # some frames' grey levels [f, h, w], 0 to 255, in a box
 
 
@@ -184,7 +186,7 @@ class RegionMotion:
     normals: np.ndarray  # [2, 3, 3] information of each half, grey levels² / px²
     noise: np.ndarray  # [2, 3, 3] covariance of `normals` @ `shift` for pixels with noise of variance 1
     misfit: np.ndarray  # [F] mean square of what motion, gain and offset leave, grey levels²
-    change: np.ndarray  # [F] the same of gain and offset alone
+    change: np.ndarray  # [F] the same of gain and offset alone, about the pictures' mean
     hidden: np.ndarray  # [F] bool: something else is seen for a while; the motion is interpolated there
     is_iterated: bool  # its motion was too large for one step
 
@@ -207,17 +209,24 @@ class RegionMotion:
 
 def _other_share(misfit: np.ndarray, change: np.ndarray) -> float:
     noise = float(np.percentile(misfit, _QUIET))
-    large = np.flatnonzero(change > _CLEAR * noise + _CLEAR_LEVELS2)
+    large = np.flatnonzero(_changed(misfit, change))
     largest = large[np.argsort(-change[large])][: max(_EXTREME, len(change) // 10)]
     if len(largest) < _EXTREME:
         return 0.0
     return float(np.median(np.clip((misfit[largest] - noise) / (change[largest] - noise), 0, 1)))
 
 
+def _changed(misfit: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Return [F] bool: frames that change by more than noise."""
+    return np.asarray(change > _CLEAR * float(np.percentile(misfit, _QUIET)) + _CLEAR_LEVELS2)
+
+
 def _hidden(misfit: np.ndarray, change: np.ndarray) -> np.ndarray:
     """Return [F] bool: frames in which an object occludes the region, with some around them; none if most would be."""
     noise = float(np.percentile(misfit, _QUIET))
-    unlike = misfit > np.maximum(_CLEAR * noise + _CLEAR_LEVELS2, _MOSTLY * change)
+    by_motion = float((change - misfit).max())
+    least = max(_CLEAR * noise + _CLEAR_LEVELS2, _LEFT_BEHIND * by_motion)
+    unlike = misfit > np.maximum(least, _MOSTLY * change)
     out = binary_dilation(unlike, iterations=_AROUND) if unlike.any() else unlike
     return out if out.mean() < _MOST_HIDDEN else np.zeros(len(out), bool)
 
@@ -287,12 +296,13 @@ def _estimated(
             np.concatenate([p for p, _ in banded], 2), np.concatenate([e for _, e in banded], 1)
         )
     solved = template.solved(*products)
+    weights = np.array([float((root > 0).sum()) for root in region.root])
+    change = np.average(solved.change, axis=0, weights=weights)
     again = _iterated(region, kept, template, solved, clock) if kept.size <= _MOST else None
     solved, template = again or (solved, template)
     normals, noise = template.motion_equations()
     shift = np.nan_to_num(solved.shift)
-    weights = np.array([float((root > 0).sum()) for root in region.root])
-    misfit, change = (np.average(a, axis=0, weights=weights) for a in (solved.misfit, solved.change))
+    misfit = np.average(solved.misfit, axis=0, weights=weights)
     return RegionMotion(
         region.centre, region.turn.radius, 0.0 if clock is None else clock.delay_s,
         shift, normals, noise, misfit, change, _hidden(misfit, change), again is not None,
@@ -305,21 +315,25 @@ def _iterated(
     """Return the motion by registered frames if it is large and they explain more, else None."""
     whole = template.together(solved.shift)
     misfit, change = solved.misfit.mean(0), solved.change.mean(0)
-    unexplained = _other_share(misfit, change) > UNEXPLAINED
+    other = _other_share(misfit, change)
+    unexplained = other > UNEXPLAINED
     if spread(whole) <= LARGE_PX and not unexplained:
         return None
     pictures = kept.astype(np.float32) / _LEVELS
-    starts = [whole]
+    starts = [(whole, True)]  # with whether it must not explain all: it matches no wrong place
     if unexplained or spread(whole) > 2 * LARGE_PX:
         offsets = offsets_within(pictures, region.inside, REACHES)
-        starts = [whole if offsets is None else offsets.astype(float)]
-    best, least = None, float(np.median(misfit))
-    for start in starts:
+        if offsets is not None:
+            starts.append((offsets.astype(float), not unexplained))
+    moving = _changed(misfit, change)  # early frames of what rings down: the others show noise alone
+    judged = moving if moving.sum() >= _EXTREME else np.ones(len(misfit), bool)
+    best, least = None, float(np.median(misfit[judged]))
+    for start, is_near in starts:
         again, fresh, _ = refined(pictures, region, start, region.inner, ROUNDS, region.turn, clock)
         left = again.misfit.mean(0)
-        explains = not unexplained or _other_share(left, change) < UNEXPLAINED
-        if explains and float(np.median(left)) < least:
-            best, least = (again, fresh), float(np.median(left))
+        explains = is_near or _other_share(left, change) < max(UNEXPLAINED, _HALVED * other)
+        if explains and float(np.median(left[judged])) < least:
+            best, least = (again, fresh), float(np.median(left[judged]))
     if best is None:
         return None
     moved = best[0].shift

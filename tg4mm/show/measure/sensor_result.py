@@ -170,11 +170,12 @@ class SensorResult:
             found = self.together.spectrum
         else:
             own = self.series
-            found = spectrum_of(
-                own.times_s, own.displacement, own.noise, own.model_share, self.b_frames, self.codec
-            )  # fmt: skip
+            seen = ~self.motion.hidden if self.motion is not None else np.ones(len(own.times_s), bool)
+            values = own.times_s[seen], own.displacement[seen], own.noise[seen], own.model_share
+            b_frames = None if self.b_frames is None else self.b_frames[seen]
+            found = spectrum_of(*values, b_frames, self.codec)
             if self.band is not None:
-                found = with_band(found, self.band, own.times_s, own.displacement, own.noise, own.model_share)
+                found = with_band(found, self.band, *values)
             found = replace(found, peaks=tuple(replace(p, correlation=own.correlation) for p in found.peaks))
         longest = max((s.times_s for s in self.all_series), key=len)
         fps, duration = 1 / float(np.median(np.diff(longest))), float(np.ptp(longest))
