@@ -1,5 +1,7 @@
 """The measuring instrument, on speckle that moves exactly: small and large motion, light, rows, and what passes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -120,6 +122,8 @@ def test_something_that_passes_is_no_motion():
         frames[k, :, 4 * (k - 20) + 10 : 4 * (k - 20) + 26] = 90
     found = measured(frames)
     assert found.other_share > 0.5
+    short = replace(found, misfit=found.misfit[12:32], change=found.change[12:32])  # tenth: 2 frames
+    assert short.other_share > 0.5
     assert not found.is_iterated
 
 
