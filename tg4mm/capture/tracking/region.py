@@ -34,7 +34,7 @@ _LEAST_ROOT = 1e-3
 _MOSTLY = 0.5  # share of a frame's change that no motion explains, from which it shows something else
 _AROUND = 2  # frames before and after that it may show a little of it
 _MOST_HIDDEN = 0.5  # of the frames
-_LEFT_BEHIND = 2.0  # times the most that motion changes: no more is left of blocks that a codec moves late or not at all
+_LEFT_BEHIND = 2.0  # times the most that motion explains
 _HALVED = 0.5  # of what a small motion leaves, beside what a codec leaves: less shows that it was a large motion
 Frames = Callable[[Box], np.ndarray]  # some frames' grey levels [f, h, w], 0 to 255, in a box
 
@@ -222,11 +222,15 @@ def _changed(misfit: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 
 def _hidden(misfit: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Return [F] bool: frames in which an object occludes the region, with some around them; none if most would be."""
-    noise = float(np.percentile(misfit, _QUIET))
-    by_motion = float((change - misfit).max())
-    least = max(_CLEAR * noise + _CLEAR_LEVELS2, _LEFT_BEHIND * by_motion)
-    unlike = misfit > np.maximum(least, _MOSTLY * change)
+    """Return [F] bool: frames in which an object occludes the region, with some around them; none if most would be.
+
+    Motion leaves more than noise of blocks that a codec moves late or not at all: not much more than what it explains
+    elsewhere, and about as much in other frames that change.
+    """
+    noise, changed = float(np.percentile(misfit, _QUIET)), _changed(misfit, change)
+    usual = float(np.median(misfit[changed])) if changed.any() else 0.0
+    least = min(_LEFT_BEHIND * float((change - misfit).max()), _CLEAR * usual)
+    unlike = misfit > np.maximum(max(_CLEAR * noise + _CLEAR_LEVELS2, least), _MOSTLY * change)
     out = binary_dilation(unlike, iterations=_AROUND) if unlike.any() else unlike
     return out if out.mean() < _MOST_HIDDEN else np.zeros(len(out), bool)
 
