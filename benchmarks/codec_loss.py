@@ -87,16 +87,16 @@ def tried(seed: int) -> tuple[float, float, float, float]:
             luma = np.stack([f.to_ndarray()[: f.height] for f in container.decode(video=0)])
         true = MeasuredTone(drawn.hz, np.array([drawn.amplitude + 0j, 0]))
         times = np.arange(FRAMES) / FPS
-        gain, error = gain_of(shifts_of(luma, [REGION.astype(np.float32)], times)[0], [true], 0, times)
-        measured = MeasuredTone(drawn.hz, true.phasor * gain)
+        found = gain_of(shifts_of(luma, [REGION.astype(np.float32)], times)[0], [true], 0, times)
+        measured = MeasuredTone(drawn.hz, true.phasor * found.gain)
         (loss,) = codec_losses(path, [REGION], [[measured]], FPS)[0]
     print(
         f"{seed}: {drawn.codec}, {float(drawn.options['b']) / (WIDTH * HEIGHT * FPS):.2f} bits a pixel, noise "
-        f"{drawn.noise:.1f}, {drawn.amplitude:.3f} px, {drawn.hz:.1f} Hz: true {gain:.2f} ± {error:.2f}, estimate "
+        f"{drawn.noise:.1f}, {drawn.amplitude:.3f} px, {drawn.hz:.1f} Hz: true {found.gain:.2f} ± {found.error:.2f}, estimate "
         f"{loss.gain:.2f} ± {loss.deviation:.2f}",
         flush=True,
     )
-    return gain, error, loss.gain, loss.deviation
+    return found.gain, found.error, loss.gain, loss.deviation
 
 
 def run(options: argparse.Namespace) -> None:

@@ -75,7 +75,7 @@ class MeasuredTone:
 
 @dataclass(frozen=True)
 class TestedTone:
-    """What an encoding leaves of a tone."""
+    """A tone as measured after an encoding."""
 
     gain: float  # of its amplitude
     error: float  # standard deviation of the gain by noise
