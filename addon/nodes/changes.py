@@ -1,9 +1,12 @@
-"""Settings that the extension changes in a scene and its objects, each with the value from before, to be restored."""
+"""Settings that the extension changes in a scene, its objects and the views, with the values from before."""
 
 import math
 from typing import Any
 
-BEFORE = "tg4mm_before"  # custom property of a scene or an object: the values from before, by path
+import bpy
+
+BEFORE = "tg4mm_before"  # custom property of a scene, object or screen: the values from before, by path
+_SPACE = "spaces[0]."  # of an area of a screen, the one that is shown; what follows is named below
 # What the panel calls each setting; "" where another line stands for it.
 _LABELS = {
     "render.fps": "Frame rate",
@@ -21,7 +24,7 @@ _LABELS = {
     "eevee.taa_render_samples": "EEVEE samples",
     "display.render_aa": "Workbench samples",
     "display.shading.light": "Workbench light",
-    "hide_render": "Hidden",
+    "shading.type": "Viewport shading",
     "location": "Moved",
     "data.clip_start": "",
     "data.clip_end": "",
@@ -29,7 +32,7 @@ _LABELS = {
 
 
 def put(holder: Any, wanted: dict[str, Any]) -> int:
-    """Set a scene's or an object's values by path; return how many changed. Those it does not have are left out."""
+    """Set values of a scene, an object or a screen by path; return how many changed. Those absent are left out."""
     before, changed = dict(holder.get(BEFORE, {})), 0
     for path, value in wanted.items():
         was = get(holder, path)
@@ -55,7 +58,7 @@ def get(holder: Any, path: str) -> Any:
 
 def listed(scene: Any) -> list[str]:
     """Return a line for each setting that is not as before: "Frame rate: 24 → 30"."""
-    lines = []
+    lines: dict[str, None] = {}
     for holder in _holders(scene):
         before = dict(holder[BEFORE])
         for path, was in before.items():
@@ -63,15 +66,14 @@ def listed(scene: Any) -> list[str]:
             if path == "render.fps":
                 base = get(holder, "render.fps_base")
                 was, now = was / before.get("render.fps_base", base), now / base
-            if (label := _LABELS.get(path)) and not _same(was, now):
-                lines.append(
-                    f"{label}: {_text(was)} → {_text(now)}" if holder == scene else f"{label}: {holder.name}"
-                )
-    return lines
+            if (label := _LABELS.get(path.rpartition(_SPACE)[2])) and not _same(was, now):
+                what = holder.name if holder.id_type == "OBJECT" else f"{_text(was)} → {_text(now)}"
+                lines[f"{label}: {what}"] = None
+    return list(lines)
 
 
 def restore(scene: Any) -> int:
-    """Give the scene and its objects the values from before; return how many settings changed."""
+    """Give the scene, its objects and the views the values from before; return how many settings changed."""
     changed = 0
     for holder in _holders(scene):
         before = {
@@ -79,14 +81,12 @@ def restore(scene: Any) -> int:
             for path, value in holder[BEFORE].items()
         }
         changed += put(holder, before)
-        if before.get("hide_render") is False:  # it was hidden in the view, too, which is no property
-            holder.hide_set(False)
         del holder[BEFORE]
     return changed
 
 
 def _holders(scene: Any) -> list[Any]:
-    return [holder for holder in (scene, *scene.objects) if holder.get(BEFORE)]
+    return [holder for holder in (scene, *scene.objects, *bpy.data.screens) if holder.get(BEFORE)]
 
 
 def _same(a: Any, b: Any) -> bool:
@@ -97,9 +97,3 @@ def _same(a: Any, b: Any) -> bool:
 
 def _text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def hide(obj: Any) -> None:
-    """Hide an object in the view and in renders."""
-    put(obj, {"hide_render": True})
-    obj.hide_set(True)

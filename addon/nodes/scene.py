@@ -143,8 +143,7 @@ def set_timeline(scene: Any, new: Sequence[Any], fps: float, n_timesteps: int) -
     notes = [f"Last frame {last:,}, as Blender has no later one"] if last < wanted else []
     if moving and (frame := most_displaced(moving[0], last, 1 / times)) > 1:
         scene.frame_set(frame)
-        notes.append(f"Frame {frame} shows the largest motion")
-    return [*notes, f"Slow motion: Speed 1/{times}"] if times > 1 else notes
+    return notes
 
 
 def strongest(obj: Any) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from tg4mm.core.colour import STILL_BELOW, to_display
 from tg4mm.core.errors import Tg4mmError
 
-from .. import compat, names
+from .. import compat, names, preferences
 from ..nodes import blending, clock, colours, scene
 from ..nodes.points import gaussians, shown_size, values
 from ..units import Unit
@@ -196,6 +196,16 @@ def mode_strengths(obj: Any, measure: str) -> list[float]:
     """Return each mode's amplitude in scene units: the maximum over Gaussians (PEAK) or the rms (RMS)."""
     largest = [float(a) for a in obj[names.MODE_AMPLITUDES]]
     return largest if measure == "PEAK" else [float(a) for a in obj.get(names.MODE_RMS, largest)]
+
+
+def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:
+    """Return the function that draws an object's spectrum, with its arguments."""
+    measure = context.window_manager.tg4mm_view.measure
+    freqs = tuple(float(f) for f in obj[names.FREQUENCIES])
+    highest = clock.whole_band(freqs, float(obj[names.FPS]))[1]
+    title = {"RMS": "Motion (rms)", "PEAK": "Largest"}[measure]
+    unit = preferences.unit_for(context, obj)
+    return plots.spectrum, freqs, tuple(mode_strengths(obj, measure)), band(obj), highest, title, unit
 
 
 def peaks(obj: Any) -> list[float]:

@@ -9,7 +9,7 @@ from mathutils import Matrix, Vector
 
 from .. import names
 from ..nodes import changes, drawing, scene
-from . import panel, pictures
+from . import analysis, pictures
 
 _SOLID = ("MESH", "CURVE", "SURFACE", "META", "FONT")  # what may hide something
 ROOM = 1.2  # of the size, around it
@@ -28,11 +28,13 @@ def show(context: Any, objects: Sequence[Any]) -> list[str]:
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
     _aim(context.scene, middle, radius)
     window = context.window
-    for area in () if window is None else window.screen.areas:
+    for number, area in enumerate(() if window is None else window.screen.areas):
         if area.type == "VIEW_3D":
+            if area.spaces.active.shading.type in ("SOLID", "WIREFRAME"):
+                changes.put(window.screen, {f"areas[{number}].spaces[0].shading.type": "MATERIAL"})
             _frame(area, middle, radius)
     if scene.moves(objects[0]):
-        pictures.prepare(*panel.spectrum_picture(context, objects[0]))
+        pictures.prepare(*analysis.spectrum_picture(context, objects[0]))
     return notes
 
 
@@ -81,7 +83,9 @@ def _uncover(context: Any, objects: Sequence[Any], low: np.ndarray, high: np.nda
         corners = np.array([other.matrix_world @ Vector(corner) for corner in other.bound_box])
         least, largest = corners.min(axis=0), corners.max(axis=0)
         if _is_startup_cube(other) and (least < high).all() and (largest > low).all():
-            changes.hide(other)
+            other.hide_render = True
+            other.hide_set(True)
+            notes.append(f"Hid the start-up {other.name}, in the way")
         elif other.display_type not in ("WIRE", "BOUNDS") and (least < low).all() and (largest > high).all():
             notes.append(f"The splats are inside {other.name}")
     return notes
@@ -103,8 +107,6 @@ def _is_startup_cube(obj: Any) -> bool:
 
 def _frame(area: Any, middle: np.ndarray, radius: float) -> None:
     space = area.spaces.active
-    if space.shading.type in ("SOLID", "WIREFRAME"):
-        space.shading.type = "MATERIAL"
     view = space.region_3d
     if view is None or view.view_perspective == "CAMERA":
         return

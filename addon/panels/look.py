@@ -11,7 +11,7 @@ from tg4mm.core.errors import Tg4mmError
 from .. import compat, names, preferences
 from ..declare import Declared, on_motion, on_splats
 from ..nodes import axes, blending, clock, drawing, scene, shapes
-from . import analysis
+from . import analysis, pictures
 
 _EXACT = {names.DRAW: shapes.AS_TRAINED, names.VIEW_COLOUR: True, names.BLEND: True}
 _BEFORE_EXACT = "tg4mm_before_exact"  # custom property of an object: what these were
@@ -38,13 +38,13 @@ def true_colours(operator: Any, context: Any) -> str:
 
 @_ui.operator("Restore Settings")
 def restore_picture(operator: Any, context: Any) -> str:
-    """Restore the frame rate, frame range, view transform, samples, camera and cube as they were before the first
-    splats"""
-    return _settings(blending.restore(context.scene))
+    """Restore the frame rate, frame range, view transform, samples, shading and camera as they were before the first
+    splats. A hidden start-up cube stays hidden"""
+    return _settings(blending.restore(context.scene), "restored")
 
 
-def _settings(count: int) -> str:
-    return f"{count} setting{'' if count == 1 else 's'} changed"
+def _settings(count: int, done: str = "changed") -> str:
+    return f"{count} setting{'' if count == 1 else 's'} {done}"
 
 
 @_ui.operator("Exact Look", on_splats, **_ON)
@@ -60,7 +60,7 @@ def exact_look(operator: Any, context: Any) -> str:
     for name in shown:
         compat.set_input(modifier, name, wanted.get(name, False))
     blending.true_colours(context.scene, bool(wanted.get(names.BLEND, False)))
-    return f"Draw As {wanted[names.DRAW]}"
+    return f"Exact Look {'on' if operator.on else 'off'}"
 
 
 def is_exact(obj: Any) -> bool:
@@ -153,3 +153,4 @@ def band(operator: Any, context: Any) -> None:
         analysis.set_band(obj, *_band(context, operator))
     else:
         analysis.set_band(obj, *clock.whole_band(list(obj[names.FREQUENCIES]), float(obj[names.FPS])))
+    pictures.prepare(*analysis.spectrum_picture(context, obj))

@@ -9,7 +9,7 @@ from .. import compat, names, preferences
 from ..declare import TAB, Declared, on_motion, on_splats
 from ..nodes import axes, blending, changes, clock, drawing, scene
 from ..nodes.shapes import DRAW_MODES
-from . import analysis, colour_range, look, overlay, pictures, plots
+from . import analysis, colour_range, look, overlay, pictures
 
 _ui = Declared()
 
@@ -59,7 +59,7 @@ def draw_motion(layout: Any, context: Any) -> None:
 def draw_band(layout: Any, context: Any) -> None:
     """The magnified frequency band, on the file's spectrum"""
     obj, row = scene.splat_object(context), layout.split(factor=0.72)
-    pictures.draw(row, 0.72 * pictures.fitting_width(context), *spectrum_picture(context, obj))
+    pictures.draw(row, 0.72 * pictures.fitting_width(context), *analysis.spectrum_picture(context, obj))
     peaks = row.column(align=True)
     for frequency in analysis.peaks(obj):
         peaks.operator("tg4mm.band", text=f"{frequency:.4g} Hz").frequency = frequency
@@ -89,6 +89,8 @@ def draw_look(layout: Any, context: Any) -> None:
     _draw_colour_range(layout, context, obj)
     drawn = DRAW_MODES[compat.get_input(modifier, names.DRAW)]
     _draw_all(_fields(layout), modifier, *drawn.inputs)
+    if drawn.still:  # as long as the motion
+        layout.label(text="No arrows? Raise Magnification", icon="INFO")
     on, shading = compat.get_input(modifier, names.SOLID_COLOUR), _shading(context)
     if not drawn.native and (on or shading == "SOLID"):  # else the colours are seen anyway
         layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
@@ -130,28 +132,19 @@ def draw_details(layout: Any, context: Any) -> None:
 def draw_import(layout: Any, context: Any) -> None:
     """Settings that the import changed in this scene, and the up axis of the file"""
     obj = scene.splat_object(context)
-    lines = [*str(obj.get(names.NOTES, "")).splitlines(), *(changed := changes.listed(context.scene))]
-    column = layout.column(align=True)
-    for line in lines:
-        for part in textwrap.wrap(line, 38):
-            column.label(text=part)
+    changed = changes.listed(context.scene)
+    # What stays, then what can be restored.
+    for lines in (str(obj.get(names.NOTES, "")).splitlines(), changed):
+        column = layout.column(align=True)
+        for line in lines:
+            for part in textwrap.wrap(line, 38):
+                column.label(text=part)
     if changed:
         layout.operator("tg4mm.restore_picture", icon="LOOP_BACK")
     row = layout.row(align=True)
     row.label(text="Up Axis")
     for up, label in axes.LABELS.items():
         row.operator("tg4mm.up", text=label, depress=obj.get(names.AXES, axes.FILE) == up).axes = up
-
-
-def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:
-    """Return the function that draws an object's spectrum, with its arguments."""
-    measure = overlay.of(context).measure
-    freqs = tuple(float(f) for f in obj[names.FREQUENCIES])
-    highest = clock.whole_band(freqs, float(obj[names.FPS]))[1]
-    strengths = tuple(analysis.mode_strengths(obj, measure))
-    title = {"RMS": "Rms", "PEAK": "Largest"}[measure]
-    unit = preferences.unit_for(context, obj)
-    return plots.spectrum, freqs, strengths, analysis.band(obj), highest, title, unit
 
 
 def _draw_colour_range(layout: Any, context: Any, obj: Any) -> None:

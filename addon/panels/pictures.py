@@ -5,6 +5,7 @@ right after, and the panel is drawn again. The same arguments need no second dra
 only when, what it shows does, whatever changed that (a slider, a key, a driver, undo, another object).
 """
 
+import time
 from collections.abc import Callable, Hashable
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 
 MOST = 16  # pictures kept; more than panels show at a time
 _TOLD_OFF = 0.0  # s, between the panel's wish and the drawing
+_IN_PLAYBACK = 0.2  # s at least between two drawings of the sidebar, which would slow playback down
 
 Key = tuple[Hashable, ...]
 
@@ -78,6 +80,7 @@ class Icons:
 
 
 _pictures: Icons | None = None
+_drawn_at = 0.0
 
 
 def icon(function: Callable[..., np.ndarray], *arguments: Hashable) -> int:
@@ -122,20 +125,38 @@ def _refresh() -> None:
         return
     _pictures.refresh()
     for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                for region in area.regions:
-                    if region.type == "UI":
-                        region.tag_redraw()
+        _draw_again(window)
+
+
+def _draw_again(window: Any) -> None:
+    for area in window.screen.areas:
+        if area.type == "VIEW_3D" and area.spaces.active.show_region_ui:
+            for region in area.regions:
+                if region.type == "UI" and region.active_panel_category == "TG4MM":
+                    region.tag_redraw()
+
+
+@bpy.app.handlers.persistent
+def _on_frame(*_: Any) -> None:
+    """In playback Blender draws the views alone: the sidebar with its time would stay as it was."""
+    global _drawn_at
+    if (now := time.monotonic()) < _drawn_at + _IN_PLAYBACK:
+        return
+    _drawn_at = now
+    for window in bpy.context.window_manager.windows:
+        if window.screen.is_animation_playing:
+            _draw_again(window)
 
 
 def register() -> None:
     global _pictures
     _pictures = Icons()
+    bpy.app.handlers.frame_change_post.append(_on_frame)
 
 
 def unregister() -> None:
     global _pictures
+    bpy.app.handlers.frame_change_post.remove(_on_frame)
     if bpy.app.timers.is_registered(_refresh):
         bpy.app.timers.unregister(_refresh)
     if _pictures is not None:

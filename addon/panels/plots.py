@@ -67,8 +67,8 @@ def spectrum(
         inside = band[0] - slack <= f <= band[1] + slack
         top = _BOTTOM - (_BOTTOM - _TOP) * 0.94 * a / ceiling
         canvas.box(place(f) - half, top, place(f) + half, _BOTTOM, _INSIDE if inside else _OUTSIDE)
-    canvas.text(_LEFT, 36, f"{title}, {unit.short}", _FRONT, _LARGE_TEXT)
-    canvas.text(_LEFT, 76, f"highest {unit.number(most)}", _INSIDE, _LARGE_TEXT)
+    canvas.text(_LEFT, 36, f"{title}, {unit.name}", _FRONT, _LARGE_TEXT)
+    canvas.text(_LEFT, 76, f"peak {most * unit.per_scene_unit:.2g}", _INSIDE, _LARGE_TEXT)
     _ticks(canvas, 0.0, highest_hz, "Frequency, Hz", _LARGE_TEXT, most=3)
     return canvas.pixels
 

@@ -230,7 +230,7 @@ def draw_probe(layout: Any, context: Any) -> None:
     unit = preferences.unit_for(context, obj)
     column = layout.column(align=True)
     column.label(text=f"{found.label}: actual motion")
-    column.label(text="not magnified, α = 0")
+    column.label(text="as recorded, not magnified")
     picture = curve_picture(found, unit, time_part(context, obj, found))
     pictures.draw(layout, pictures.fitting_width(context), *picture)
     column = layout.column(align=True)
@@ -249,13 +249,13 @@ def shown_ellipses(found: probe.Probe) -> tuple[list[probe.Ellipse], int]:
 
 def row_texts(ellipse: probe.Ellipse, unit: Unit) -> tuple[str, str, str, str, str]:
     """Frequency, amplitude, phase; direction; second axis."""
-    second = "0: straight line"
+    second = "moves along a straight line"
     if ellipse.second > 0:
-        second = f"{unit.number(ellipse.second)}, {_direction(ellipse.second_direction)}"
+        second = f"minor axis {unit.number(ellipse.second)}, {_direction(ellipse.second_direction)}"
     return (
         f"{ellipse.frequency_hz:g} Hz",
         unit.text(ellipse.amplitude, ellipse.deviation),
-        f"{ellipse.phase_deg:.0f}°",
+        f"phase {ellipse.phase_deg:.0f}°",
         f"along {_direction(ellipse.direction)}",
         second,
     )
@@ -302,7 +302,9 @@ def _draw_rows(layout: Any, found: probe.Probe, unit: Unit) -> None:
         split.label(text=phase)
         column.label(text=amplitude)
         column.label(text=direction)
-        column.label(text=f"Minor axis {second}")
+        column.label(text=second)
+    if any(ellipse.deviation is not None for ellipse in rows):
+        layout.label(text="± one standard deviation")
     if left_out:
         layout.label(text=f"{left_out} more in the exported table")
 

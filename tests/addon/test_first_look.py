@@ -166,30 +166,32 @@ def test_what_the_scene_needs_is_set_said_and_undone(automatic, splat_path):
 
 
 def test_all_that_an_import_sets_is_listed_and_restored(extension, splat_path):
-    """Frame rate and range, engine settings, camera and cube of the startup scene; the message is short."""
+    """Frame rate and range, engines, shading and camera; the startup cube stays hidden; the message is short."""
     bpy.ops.wm.read_factory_settings()
     scene, changes, names = bpy.context.scene, extension.nodes.changes, extension.names
-    camera, cube = bpy.data.objects["Camera"], bpy.data.objects["Cube"]
+    camera, cube, areas = *map(bpy.data.objects.get, ("Camera", "Cube")), bpy.context.window.screen.areas
     scene.render.fps, scene.render.fps_base = 30, 1.001
 
     def state():
         paths = [path for path in changes._LABELS if changes.get(scene, path) is not None]
         clips = camera.data.clip_start, camera.data.clip_end
-        here = tuple(camera.location), clips, cube.hide_get(), cube.hide_render
+        views = [area.spaces.active.shading.type for area in areas if area.type == "VIEW_3D"]
+        here = tuple(camera.location), clips, views
         return {path: changes.get(scene, path) for path in paths}, here
 
     before = state()
     obj = import_splat(splat_path)
     lines = changes.listed(scene)
-    assert {"Frame rate: 29.97 → 24", "Last frame: 250 → 144", "Moved: Camera", "Hidden: Cube"} <= set(lines)
-    assert {"View transform: AgX → Standard", "Cycles bounces: 8 → 1024"} <= set(lines)
+    assert {"Frame rate: 29.97 → 24", "Last frame: 250 → 144", "Moved: Camera"} <= set(lines)
+    assert {"View transform: AgX → Standard", "Viewport shading: SOLID → MATERIAL"} <= set(lines)
     assert not {line for line in lines if "First frame" in line}
-    assert "Slow motion: Speed 1/3" in obj[names.NOTES]
+    assert obj[names.NOTES] == "Hid the start-up Cube, in the way"
     assert len(extension.io.import_splat.SEE) < 60
     assert state() != before
     assert bpy.ops.tg4mm.restore_picture() == {"FINISHED"}
     assert state() == before
     assert changes.listed(scene) == []
+    assert (cube.hide_get(), cube.hide_render) == (True, True)
 
 
 @needs_native

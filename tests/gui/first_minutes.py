@@ -57,10 +57,8 @@ def to_probe(blender):
 
 
 def type_into(blender, name, text):
-    """Double-click a number field and type."""
-    x, y = sidebar.find(blender, name)
-    for _ in range(2):
-        blender.click(x, y)
+    """Click a number field and type."""
+    blender.click(*sidebar.find(blender, name))
     time.sleep(1)
     blender.key("ctrl+a")
     blender.write(text)

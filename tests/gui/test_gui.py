@@ -107,15 +107,18 @@ def test_the_timeline_plays(blender, splat, pictures):
     blender.move(box.left + 300, box.top + 500)
     blender.key("space")
     blender.wait(lambda: blender.ask("frame")["playing"], "playback")
-    shots, frames = [], []
+    shots, sides, frames = [], [], []
     for i in range(4):
         frames.append(blender.ask("frame")["current"])
-        shots.append(view_of(blender, blender.picture(pictures / f"07_playing_{i}.png")))
+        picture = blender.picture(pictures / f"07_playing_{i}.png")
+        shots.append(view_of(blender, picture))
+        sides.append(cut(picture, blender.region("VIEW_3D", "UI")))
         blender.wait(lambda: blender.ask("frame")["current"] != frames[-1], "the next frame")
         time.sleep(0.37)  # no multiple of either period
     blender.key("space")
     blender.wait(lambda: not blender.ask("frame")["playing"], "the end of playback")
     assert len(set(frames)) > 1
     assert all(changed(a, b) > 0.005 for a, b in itertools.pairwise(shots))
+    assert (sides[0] != sides[-1]).any()  # the time in the panel Motion
     np.testing.assert_allclose(blender.places(), expected(blender, splat), atol=SAME)
     assert blender.complaints() == [], blender.log()

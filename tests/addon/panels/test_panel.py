@@ -84,7 +84,7 @@ def test_probe_shows_rows_a_curve_and_exports(extension, splat_path):
     layout = laid_out(extension, obj)
     found = extension.probe.picking.stored(obj)
     assert layout.pictures == 2
-    assert {f"{found.label}: actual motion", "not magnified, α = 0", "Export Curve (CSV)"} <= set(
+    assert {f"{found.label}: actual motion", "as recorded, not magnified", "Export Curve (CSV)"} <= set(
         layout.drawn
     )
     for ellipse in extension.probe.probe.ellipses(found):
