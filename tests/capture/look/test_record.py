@@ -75,14 +75,6 @@ def test_what_light_makes_seem_to_move_is_marked_and_what_moves_by_more_at_its_f
     assert not marked([large], 30.0, 6.0, light=[lamp], clipped=clear)[0].mark
 
 
-def test_an_image_of_a_multiple_is_marked_where_rounding_may_make_it_as_large():
-    strong = replace(found().lines[0], hz=7.9, amplitude_px=0.3)
-    weak = replace(strong, hz=8.7, amplitude_px=0.06)  # 3 × 7.9 − 2 × 7.5 Hz
-    assert "image of 3 × 7.900 Hz" in marked([strong, weak], 30.0, 6.0)[1].mark
-    assert not marked([strong, weak], 30.0, 6.0, patterns=())[1].mark
-    assert not marked([strong, replace(weak, amplitude_px=0.12)], 30.0, 6.0)[1].mark
-
-
 def test_an_image_by_the_codec_is_where_its_line_is():
     strong = replace(found().lines[0], hz=2.0, amplitude_px=0.5)
     weak = replace(strong, hz=13.0, amplitude_px=0.2)

@@ -15,10 +15,6 @@ from tg4mm.capture.look.search import images
 _WEAK = 30.0  # times weaker beside a line: what a codec makes of it
 _LARGER = 2.0  # times the amplitude of a line that others are made of
 _MULTIPLES = (2, 3, 4)
-_DISTORTED = (
-    2,
-    3,
-)  # multiples that rounding adds, the n-th at most 1 / n as large; the codec's pattern shows images
 _INEXACT = 0.015  # of a line's amplitude: the error of its shift (kernel and series), of which other lines may be made
 _EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
 _LIGHT_PX = 0.3  # that light seems to move a place by, a unit of its change: what gain and offset leave of it
@@ -99,11 +95,10 @@ def _mark(
                 folded = abs((n * other.hz + rate / 2) % rate - rate / 2)
                 if near(folded, other, n):
                     return f"{n} × {other.hz:.3f} Hz"
-            for n in (1, *_DISTORTED) if _is_there(line, other) else ():
-                of = f"{n} × {other.hz:.3f} Hz" if n > 1 else f"{other.hz:.3f} Hz"
-                is_small = other.amplitude_px >= n * line.amplitude_px
-                if is_small and any(near(image, other, n) for image in images(n * other.hz, rate, patterns)):
-                    return f"image of {of} by a pattern of pictures, of the codec or a conversion"
+            if _is_there(line, other) and any(
+                near(image, other) for image in images(other.hz, rate, patterns)
+            ):
+                return f"image of {other.hz:.3f} Hz by a pattern of pictures, of the codec or a conversion"
     for other in others:
         if line.amplitude_px < _INEXACT * other.amplitude_px and _is_there(line, other):
             return f"under {100 * _INEXACT:.2g} % of {other.hz:.3f} Hz: the error of its shift may make it"

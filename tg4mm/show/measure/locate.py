@@ -208,9 +208,9 @@ def _of_pixel(sensor: Sensor, scene: Prepared) -> np.ndarray:
         radius = float(np.sqrt(near.sum() / np.pi))
     inside, whole = blend_sum(view.view, np.stack([near, np.ones_like(near), near], -1))[:, :2].T
     inside = np.maximum(inside, 0)
-    out = np.where(inside > _LEAST_SHARE * inside.max(), inside / np.maximum(whole, 1e-12), 0)
     viewmat, focal = view.frames.viewmat.astype(np.float64), float(view.frames.K[0, 0])
     depth = scene.means @ viewmat[2, :3] + viewmat[2, 3]
     at = scale_top(depth, inside, 0.5)
-    reach = _BEHIND * max(radius, 1.0) * at / focal
-    return np.where(np.abs(depth - at) <= reach, np.minimum(2 * out, 1), 0)
+    inside[np.abs(depth - at) > _BEHIND * max(radius, 1.0) * at / focal] = 0  # large haze in front, too
+    out = np.where(inside > _LEAST_SHARE * inside.max(), inside / np.maximum(whole, 1e-12), 0)
+    return np.minimum(2 * out, 1)

@@ -109,7 +109,8 @@ def measure(
     has_gaussians = len(scene.means) > 0
     groups = clusters or (clusters_of(scene) if has_gaussians else Clusters({}, {}))
     found = looked_at(scene) if sensors is None and not has_gaussians else scene.found
-    regions = region_sensors(scene, found) if found is not None else []
+    regions = region_sensors(scene, found) if found is not None and sensors is None else []
+    regions, lost = _on_surfaces(regions, scene) if scene.capture.kind.sees_depth else (regions, [])
     if scene.capture.kind.sees_depth or not regions:
         defaults = [*default_sensors(groups), *regions]
     else:
@@ -130,7 +131,7 @@ def measure(
     first = reference or names[0]
     against = results[names.index(first)]
     results = [r if r is against else r.with_(relation=relation_of(r, against)) for r in results]
-    notes = limits_of(scene, results)
+    notes = (*limits_of(scene, results), *lost)
     if scale is not None:
         notes = (*notes, f"the scale is known to {100 * scale.share:.2g} % by its marks, which no ± includes")
     shapes = shapes_of(scene, results)
@@ -263,6 +264,19 @@ def region_sensors(scene: Prepared, found: LookSummary) -> list[Sensor]:
             name += f" {1 + sum(other.startswith(name) for other in taken)}"
         out.append(Sensor(name, "pixel", (*line.centre_px, radius), camera))
     return out
+
+
+def _on_surfaces(regions: Sequence[Sensor], scene: Prepared) -> tuple[list[Sensor], list[str]]:
+    """Return the regions that show Gaussians, and a note for each other."""
+    there: list[Sensor] = []
+    lost: list[str] = []
+    for region in regions:
+        try:
+            weights_of(region, scene, {})
+            there.append(region)
+        except MeasureError as error:
+            lost.append(f"the vibration at {region.name} of `tg4mm look` is not measured in 3D: {error}")
+    return there, lost
 
 
 @dataclass(frozen=True)
