@@ -87,8 +87,10 @@ def codec_losses(
     slowest = max(min(tone.frequency_hz for of_region in tones for tone in of_region), 1e-3)
     height, width = regions[0].shape
     periods, pixels = (_QUICK_PERIODS, _QUICK_PIXELS) if quick else (_PERIODS, _PIXELS)
-    folds = (t.start_s + _FOLDS / t.decay_per_s for own in tones for t in own if t.decay_per_s > 0)
-    fewest = int(max(_FEWEST, (fps or 30.0) * max(periods / slowest, *folds, 0.0)))
+    fewest = int(max(_FEWEST, periods * (fps or 30.0) / slowest))
+    folds = [t.start_s + _FOLDS / t.decay_per_s for own in tones for t in own if t.decay_per_s > 0]
+    decaying = int((fps or 30.0) * max(folds, default=0.0))
+    fewest = max(fewest, min(decaying, int(_QUICK_MOST / (height * width))) if quick else decaying)
     most = max(fewest, int(pixels / (height * width)))
     try:
         if is_lossless(video):
@@ -173,13 +175,15 @@ def _is_alike(found: TestedTone, sent: MeasuredTone) -> bool:
 def _before(measured: MeasuredTone, sent: MeasuredTone, found: TestedTone) -> MeasuredTone:
     """Return the tone that, after what the encoding made of the sent one, would be the measured one."""
     decay = sent.decay_per_s
-    if decay > 0 and np.isfinite(found.decay_per_s):
+    if decay > 0 and found.decay_per_s > 0:
         decay = float(np.clip(measured.decay_per_s - found.decay_per_s + decay, decay / 3, 3 * decay))
     return replace(measured, phasor=measured.phasor / np.clip(found.gain, *_GAINS), decay_per_s=decay)
 
 
 def _loss(found: TestedTone, sent: MeasuredTone) -> Loss:
     gain, deviation = found.gain, float(np.hypot(SCATTER * found.error, BESIDE))
+    if gain >= LOST and sent.decay_per_s > 0 and not found.decay_per_s:
+        return Loss(gain, deviation, "", 0.0, sent.decay_per_s)  # any decay may be the codec's
     if gain >= LOST and sent.decay_per_s > 0:
         faster = found.decay_per_s - sent.decay_per_s
         errors = SCATTER * found.decay_error, np.sqrt(2) * BESIDE * sent.decay_per_s, _INEXACT * faster

@@ -79,7 +79,7 @@ class TestedTone:
 
     gain: float  # of its amplitude
     error: float  # standard deviation of the gain by noise
-    decay_per_s: float = 0.0  # as measured; NaN where none is resolved
+    decay_per_s: float = 0.0  # as measured; 0 where none is resolved
     decay_error: float = 0.0
 
 
@@ -191,8 +191,8 @@ def shifts_of(seen: np.ndarray, masks: Sequence[np.ndarray], times: np.ndarray) 
 
 def gain_of(u: np.ndarray, tones: Sequence[MeasuredTone], j: int, times: np.ndarray) -> TestedTone:
     """Return the gain of tone j in the shifts u [F, 2], along its direction, with all tones fitted."""
-    if tones[j].decay_per_s > 0:
-        return _decaying_gain(u, tones, j, times)
+    if tones[j].decay_per_s > 0 and (found := _decaying_gain(u, tones, j, times)) is not None:
+        return found
     main = tones[j].phasor
     waves = [part for wave in (t.wave(times) for t in tones) for part in (wave.real, -wave.imag)]
     design = np.stack([np.ones(len(times)), *waves], 1)
@@ -213,16 +213,18 @@ def gain_of(u: np.ndarray, tones: Sequence[MeasuredTone], j: int, times: np.ndar
     return TestedTone(gain, float(np.sqrt(2 / len(times) * (power * direction**2).sum() / size)))
 
 
-def _decaying_gain(u: np.ndarray, tones: Sequence[MeasuredTone], j: int, times: np.ndarray) -> TestedTone:
-    """Return amplitude and decay of tone j as the measurement itself determines them, from its beginning on."""
-    own, lost = tones[j], TestedTone(0.0, 0.0, np.nan, np.nan)
+def _decaying_gain(
+    u: np.ndarray, tones: Sequence[MeasuredTone], j: int, times: np.ndarray
+) -> TestedTone | None:
+    """Return amplitude and decay of tone j as the measurement does, from its beginning on; None if unresolved."""
+    own = tones[j]
     since = times >= own.start_s - 1e-9
     if since.sum() < 4 * len(tones) + 12:
-        return lost
+        return None
     line = fit_lines(u[since], times[since], [t.frequency_hz for t in tones]).lines[j]
     size = float(np.linalg.norm(own.phasor))
     if line.decay_per_s <= 0 or not size:
-        return lost
+        return None
     error = float(np.linalg.norm(line.amplitude_deviation * np.abs(own.phasor))) / size**2
     decay_error = float(np.sqrt(line.covariance[1, 1]))
     return TestedTone(float(np.linalg.norm(line.phasor)) / size, error, line.decay_per_s, decay_error)

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.codec import Loss, MeasuredTone, before_compression, codec_losses
-from tg4mm.capture.look.model import LookLine, LookSummary
-
-_DECAYING = 2 / 3  # of its first amplitude: the mean of an exponential decay, weighted as least squares does
+from tg4mm.capture.codec import LOST, Loss, MeasuredTone, before_compression, codec_losses
+from tg4mm.capture.look.model import Look, LookLine
 
 
 def with_losses(
-    found: LookSummary, video: Path, fps: float, start_s: float = 0.0, repeats: Sequence[int] = ()
+    found: Look, video: Path, fps: float, start_s: float = 0.0, repeats: Sequence[int] = ()
 ) -> tuple[LookLine, ...]:
     """Return the lines, those without a mark corrected for compression (`codec_losses`)."""
     lines = found.vibrations
@@ -31,15 +29,18 @@ def with_losses(
         for some, losses in zip(by_region, all_losses, strict=True)
         for line, loss in zip(some, losses, strict=True)
     }
-    return tuple(_with_loss(line, known[id(line)]) if id(line) in known else line for line in found.lines)
+    return tuple(
+        _with_loss(line, known[id(line)], found) if id(line) in known else line for line in found.lines
+    )
 
 
 def _tone(line: LookLine) -> MeasuredTone:
-    size = line.amplitude_px * (_DECAYING if line.damping is not None else 1.0)
-    return MeasuredTone(line.hz, size * np.array(line.direction) * np.exp(1j * line.phase_rad))
+    phasor = line.amplitude_px * np.array(line.direction) * np.exp(1j * line.phase_rad)
+    return MeasuredTone(line.hz, phasor, line.decay_per_s, line.start_s or 0.0)
 
 
-def _with_loss(line: LookLine, loss: Loss) -> LookLine:
+def _with_loss(line: LookLine, loss: Loss, found: Look) -> LookLine:
+    line = _with_decay(line, loss, found)
     amplitude, deviation = before_compression(line.amplitude_px, line.amplitude_deviation_px, loss)
     is_known = bool(np.isfinite(loss.gain))
     return replace(
@@ -50,3 +51,17 @@ def _with_loss(line: LookLine, loss: Loss) -> LookLine:
         kept_deviation=loss.deviation if is_known else None,
         lost="; ".join(filter(None, [loss.why, line.lost])),
     )
+
+
+def _with_decay(line: LookLine, loss: Loss, found: Look) -> LookLine:
+    """Take from a line's damping what compression adds, or add to its deviation what that may be."""
+    if line.damping is None or line.damping_deviation is None:
+        return line
+    if loss.gain < LOST:  # what is left of a steady vibration may do anything
+        return replace(line, damping=None, damping_deviation=None)
+    faster, error = loss.faster or 0.0, loss.faster_deviation
+    if not np.isfinite(loss.gain):
+        error = found.coded_change / (found.duration_s - (line.start_s or 0.0))
+    share = line.damping / line.decay_per_s
+    deviation = float(np.hypot(line.damping_deviation, share * error))
+    return replace(line, damping=line.damping - share * faster, damping_deviation=deviation)

@@ -50,9 +50,14 @@ class LookLine:
     def course(self, times_s: np.ndarray) -> np.ndarray:
         """Return [2, F]: cosine and sine, decaying as it was found to."""
         start = float(times_s[0]) if self.start_s is None else self.start_s
+        shape = envelope(times_s, self.decay_per_s, start, self.start_s)
+        return np.asarray((shape[:, None] * tone(times_s, self.hz)).T)
+
+    @property
+    def decay_per_s(self) -> float:
+        """Return the decay of its amplitude; 0 of what is not known to ring down."""
         ratio = self.damping or 0.0
-        decay = 2 * np.pi * self.hz * ratio / np.sqrt(max(1 - ratio**2, 1e-9))
-        return np.asarray((envelope(times_s, decay, start, self.start_s)[:, None] * tone(times_s, self.hz)).T)
+        return float(2 * np.pi * self.hz * ratio / np.sqrt(max(1 - ratio**2, 1e-9)))
 
 
 @dataclass(frozen=True)
