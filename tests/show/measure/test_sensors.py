@@ -1,8 +1,12 @@
 """Sensors from options and YAML, and what is wrong with them in one line."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.show.measure import locate
 from tg4mm.show.measure.sensors import STILL, Sensor, parse_sensor, read_sensors
 
 
@@ -77,3 +81,20 @@ def test_a_file_that_is_wrong_says_where(tmp_path, text, words):
     with pytest.raises(Tg4mmError, match=words) as caught:
         read_sensors(file)
     assert str(file) in str(caught.value)
+
+
+def test_large_haze_in_front_of_a_region_does_not_hide_its_surface(monkeypatch):
+    """A hundred Gaussians of the surface at depth 2 lie in the region; one large one in front lies mostly outside."""
+    inside, whole = np.full(101, 9.0), np.full(101, 10.0)
+    inside[-1], whole[-1] = 400.0, 2400.0
+    monkeypatch.setattr(locate, "blend_sum", lambda view, maps: np.stack([inside, whole, inside], -1))
+    means = np.zeros((101, 3))
+    means[:, 2] = np.append(np.full(100, 2.0), 0.5)
+    frames = SimpleNamespace(name="cam", viewmat=np.eye(4), K=np.diag([60.0, 60.0, 1.0]))
+    view = SimpleNamespace(frames=frames, mean=np.zeros((48, 64, 3)), view=None)
+    scene = SimpleNamespace(
+        observations=SimpleNamespace(frames=[frames], size=(64, 48)), views=[view], means=means
+    )
+    found = locate._of_pixel(parse_sensor("a=pixel:cam,32,24,9"), scene)
+    assert (found[:100] == 1).all()
+    assert found[100] == 0
