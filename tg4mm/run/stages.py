@@ -100,7 +100,7 @@ def train_motion(
             line.hz: line for line in found.vibrations
         }.values()  # parts of one frequency share its course
         shown, own = courses(list(lines), times, between_frames(capture.root, len(times)))
-        steady = tuple(line.hz for line in lines if line.start_s is None and not line.damping)
+        steady = tuple(line.hz for line in lines if line.start_s is None and not line.decay_per_s)
         observations = dataclasses.replace(
             observations, time_courses=shown, own_courses=own, steady_hz=steady
         )

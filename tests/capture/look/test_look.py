@@ -192,6 +192,17 @@ def test_what_rings_down_is_one_line_with_its_damping():
     assert abs(line.amplitude_px - 0.3) < 3 * line.amplitude_deviation_px
 
 
+@pytest.mark.parametrize("seed", [4, 5])
+def test_what_rings_down_in_a_coded_film_has_the_damping_before_compression(tmp_path, seed):
+    """The codec takes more of it as it fades, so that it seems to ring down faster."""
+    decay = 0.02 * 2 * np.pi * 5.2
+    made = film((0.0, 0.4), lambda t: float(np.exp(-decay * t) * np.sin(2 * np.pi * 5.2 * t)), 1.5, seed)
+    write_video(tmp_path / "film.mp4", made.pictures(), FPS, Coding("libx264", 0, crf=16))
+    line = look(tmp_path / "film.mp4").vibrations[0]
+    assert line.decay_per_s > 1.02 * decay  # as the pictures show it
+    assert abs(line.damping - 0.02) < 3 * line.damping_deviation < 0.02
+
+
 def test_what_turns_is_masked_and_does_not_hide_what_vibrates():
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     disc, angle = np.hypot(x - 136, y - 24) < 16, np.arctan2(y - 24, x - 136)

@@ -15,14 +15,16 @@ from tg4mm.capture.tracking.region import region_motions
 from tg4mm.capture.tracking.registration import Box, resampled
 from tg4mm.capture.video import ALONE, BETWEEN, av_module, file_url, opened, stream_of
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.lines import fit_lines
-from tg4mm.core.lines.record import envelope
+from tg4mm.core.lines import FEWEST
+from tg4mm.core.lines.model import LineShape, refined
+from tg4mm.core.lines.record import Record, envelope
 
 _NOISE_PX = 8.0  # over which the key frames' noise is averaged
 _AROUND_PX = 12  # about a region, that moves with it in the test: a codec decides by blocks of 16 pixels
 _EDGE_PX = 2.0  # over which that motion fades
 _TRACE = 1e-3  # of a mask: less is none
 _UNEVEN = 0.01  # of a frame
+_RESOLVED = 2.0  # deviations of a decay
 
 _REGULAR = 0.8  # of the distances, that one must have to be a period
 _PIXELS = ("yuv420p", "yuvj420p", "yuv420p10le")  # what the encoders are given
@@ -217,13 +219,18 @@ def _decaying_gain(
     u: np.ndarray, tones: Sequence[MeasuredTone], j: int, times: np.ndarray
 ) -> TestedTone | None:
     """Return amplitude and decay of tone j as the measurement does, from its beginning on; None if unresolved."""
-    own = tones[j]
+    own, size = tones[j], float(np.linalg.norm(tones[j].phasor))
     since = times >= own.start_s - 1e-9
-    if since.sum() < 4 * len(tones) + 12:
+    if since.sum() < FEWEST + 4 * len(tones) or not size:
         return None
-    line = fit_lines(u[since], times[since], [t.frequency_hz for t in tones]).lines[j]
-    size = float(np.linalg.norm(own.phasor))
-    if line.decay_per_s <= 0 or not size:
+    ends = 0.0, 2 * max(t.frequency_hz for t in tones)  # frames without B may be too few a second for their half
+    record = Record.of(u[since], times[since], 0.0, ends)
+    if record is None:
+        return None
+    shapes = [LineShape(t.frequency_hz, t.decay_per_s, 0, t.decay_per_s > 0) for t in tones]
+    shapes = refined(shapes, record.t, record.y, ends)
+    line = record.whitened(shapes).result(shapes).lines[j]
+    if line.decay_per_s < _RESOLVED * np.sqrt(line.covariance[1, 1]):
         return None
     error = float(np.linalg.norm(line.amplitude_deviation * np.abs(own.phasor))) / size**2
     decay_error = float(np.sqrt(line.covariance[1, 1]))

@@ -55,13 +55,15 @@ def _with_loss(line: LookLine, loss: Loss, found: Look) -> LookLine:
 
 def _with_decay(line: LookLine, loss: Loss, found: Look) -> LookLine:
     """Take from a line's damping what compression adds, or add to its deviation what that may be."""
-    if line.damping is None or line.damping_deviation is None:
+    damping, deviation = line.damping, line.damping_deviation
+    if damping is None or deviation is None:
         return line
+    shown = line.decay_per_s
     if loss.gain < LOST:  # what is left of a steady vibration may do anything
-        return replace(line, damping=None, damping_deviation=None)
+        return replace(line, damping=None, damping_deviation=None, coded_decay_per_s=shown)
     faster, error = loss.faster or 0.0, loss.faster_deviation
     if not np.isfinite(loss.gain):
         error = found.coded_change / (found.duration_s - (line.start_s or 0.0))
-    share = line.damping / line.decay_per_s
-    deviation = float(np.hypot(line.damping_deviation, share * error))
-    return replace(line, damping=line.damping - share * faster, damping_deviation=deviation)
+    deviation = float(np.hypot(deviation, damping / shown * error))
+    damping = max(damping * (1 - faster / shown), 0.0)
+    return replace(line, damping=damping, damping_deviation=deviation, coded_decay_per_s=shown)

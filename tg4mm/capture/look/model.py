@@ -46,6 +46,8 @@ class LookLine:
     lost: str = ""  # why the true amplitude is larger than this one, by more than the ±; empty: unknown
     readout_deviation_s: float | None = None
     between_share: float = 1.0  # of the amplitude, that B-frames keep of the others'
+    # of the amplitude in the pictures, with what compression adds; None: as `damping` says
+    coded_decay_per_s: float | None = None
 
     def course(self, times_s: np.ndarray) -> np.ndarray:
         """Return [2, F]: cosine and sine, decaying as it was found to."""
@@ -55,7 +57,9 @@ class LookLine:
 
     @property
     def decay_per_s(self) -> float:
-        """Return the decay of its amplitude; 0 of what is not known to ring down."""
+        """Return the decay of its amplitude in the pictures; 0 of what does not ring down there."""
+        if self.coded_decay_per_s is not None:
+            return self.coded_decay_per_s
         ratio = self.damping or 0.0
         return float(2 * np.pi * self.hz * ratio / np.sqrt(max(1 - ratio**2, 1e-9)))
 

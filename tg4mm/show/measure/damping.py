@@ -57,9 +57,9 @@ def with_loss(found: Damping | None, loss: Loss) -> Damping | None:
     if found is None or loss.faster is None:
         return found
     per_decay = found.ratio / found.decay_per_s
-    ratio, error = found.ratio - per_decay * loss.faster, per_decay * loss.faster_deviation
-    deviation = float(np.hypot(found.deviation, error))
-    return replace(found, ratio=ratio, deviation=deviation, decay_per_s=found.decay_per_s - loss.faster)
+    decay = max(found.decay_per_s - loss.faster, 0.0)
+    deviation = float(np.hypot(found.deviation, per_decay * loss.faster_deviation))
+    return replace(found, ratio=per_decay * decay, deviation=deviation, decay_per_s=decay)
 
 
 def _line_of(series: Series, hz: float) -> Line | None:
