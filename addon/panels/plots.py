@@ -86,7 +86,7 @@ def series(seconds: np.ndarray, moved: np.ndarray, unit: Unit) -> np.ndarray:
         y = middle - height * moved[:, axis] / (most or 1.0)
         canvas.line(np.column_stack([x, y]), colour, 3.0)
     canvas.text(_LEFT, 32, f"Displacement, {unit.name}", _FRONT, _TEXT)
-    canvas.text(_LEFT, 66, f"±{unit.number(most)}", _FRONT, _TEXT)
+    canvas.text(_LEFT, 66, f"max {unit.number(most)}", _FRONT, _TEXT)
     for axis, colour in enumerate(_AXES):
         canvas.text(_RIGHT - 90 + 36 * axis, 66, "xyz"[axis], colour, _TEXT)
     _ticks(canvas, 0.0, last, "Time, s", _TEXT)

@@ -223,7 +223,8 @@ def _decaying_gain(
     since = times >= own.start_s - 1e-9
     if since.sum() < FEWEST + 4 * len(tones) or not size:
         return None
-    ends = 0.0, 2 * max(t.frequency_hz for t in tones)  # frames without B may be too few a second for their half
+    # frames without B may be too few a second for their half
+    ends = 0.0, 2 * max(t.frequency_hz for t in tones)
     record = Record.of(u[since], times[since], 0.0, ends)
     if record is None:
         return None

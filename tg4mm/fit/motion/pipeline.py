@@ -162,8 +162,8 @@ def _linear_fit(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fields [P, R, N, 6] of the folds; the mean over folds of their displacement and gradient, [R, 4N, 3].
 
-    Of synchronous cameras in two passes, with a deferred correction between them where motion is small. Of a moving
-    camera twice more, where only what was found to move may.
+    Of synchronous cameras in two passes, with a deferred correction between them where motion is small, or, of one
+    fixed camera, by its mean picture. Of a moving camera twice more, where only what was found to move may.
     """
     linear = LinearFit(model.problem, model.targets, hyper, model.folds, model.config, checkpoint)
     if not model.separates:
@@ -179,7 +179,7 @@ def _linear_fit(
     is_small = model.pixels_moved(fields) <= ABOVE_PX
     correction: Correction | None = None
     rounds = 1
-    if model.observations.is_flat:
+    if model.observations.is_flat or len(model.problem.views) == 1:
         correction, rounds = partial(_by_the_pictures, model), _ROUNDS
     elif is_small and (appearance := _appearance_fit(model)) is not None:
         correction = appearance.between_passes(_motion_residual(model, fields))
