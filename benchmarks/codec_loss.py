@@ -92,8 +92,8 @@ def tried(seed: int) -> tuple[float, float, float, float]:
         (loss,) = codec_losses(path, [REGION], [[measured]], FPS)[0]
     print(
         f"{seed}: {drawn.codec}, {float(drawn.options['b']) / (WIDTH * HEIGHT * FPS):.2f} bits a pixel, noise "
-        f"{drawn.noise:.1f}, {drawn.amplitude:.3f} px, {drawn.hz:.1f} Hz: true {found.gain:.2f} ± {found.error:.2f}, estimate "
-        f"{loss.gain:.2f} ± {loss.deviation:.2f}",
+        f"{drawn.noise:.1f}, {drawn.amplitude:.3f} px, {drawn.hz:.1f} Hz: true {found.gain:.2f} ± {found.error:.2f}, "
+        f"estimate {loss.gain:.2f} ± {loss.deviation:.2f}",
         flush=True,
     )
     return found.gain, found.error, loss.gain, loss.deviation
