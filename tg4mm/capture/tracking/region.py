@@ -326,7 +326,7 @@ def _iterated(
     if spread(whole) <= LARGE_PX and not unexplained:
         return None
     pictures = kept.astype(np.float32) / _LEVELS
-    starts = [(whole, True)]  # with whether it must not explain all: it matches no wrong place
+    starts = [(whole, True)]  # and whether a start is near, so that it matches no wrong place
     if unexplained or spread(whole) > 2 * LARGE_PX:
         offsets = offsets_within(pictures, region.inside, REACHES)
         if offsets is not None:
