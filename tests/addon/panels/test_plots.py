@@ -114,9 +114,6 @@ def test_the_picture_is_drawn_once_for_each_band(extension, splat_path, monkeypa
     assert (pictures.waiting, len(drawn)) == (0, 1)
     bpy.ops.tg4mm.band(frequency=5.0)
     pictures.icon(*picture_of(extension, obj))
-    assert (pictures.waiting, len(drawn)) == (
-        0,
-        2,
-    )  # the button draws it, so that no panel shows the band before
+    assert (pictures.waiting, len(drawn)) == (0, 2)  # by the button: no panel shows the band before
     shown = pictures.pixels(*picture_of(extension, obj))
     np.testing.assert_allclose(shown / 255, draw(*picture_of(extension, obj)[1:]), atol=0.51 / 255)

@@ -142,7 +142,7 @@ class TestSmoothness:
     @pytest.mark.parametrize("noise", [100.0, 1_000.0])
     @pytest.mark.parametrize("best", [150.0, 1_234.0, 40_000.0])
     def test_the_best_weight_may_lie_between_candidates_however_large_the_noise_is(self, best, noise):
-        """Of many candidates the last step of 0.02 in the logarithm that explains at least 98 % of the most."""
+        """The expected one is the last of many, 0.02 apart in the logarithm, that explains 98 % of the most."""
         few, many = (
             smoothest(weights, noise - 0.5 / (1 + np.log(weights / best) ** 2 / 8), noise)
             for weights in (np.array(CANDIDATES), np.geomspace(LEAST, CANDIDATES[-1], 300))

@@ -249,7 +249,6 @@ def before_compression(amplitude: float, deviation: float, loss: Loss | None) ->
     """
     if loss is None or loss.why:
         return amplitude, deviation
-    gain = (
-        loss.gain if loss.faster is not None else min(loss.gain, 1.0)
-    )  # a false decay makes the start larger
+    # compression adds nothing, but a decay that it makes too fast begins too large
+    gain = min(loss.gain, 1.0) if loss.faster is None else loss.gain
     return amplitude / gain, float(np.hypot(deviation, amplitude * loss.deviation / gain)) / gain

@@ -36,7 +36,7 @@ _AROUND = 2  # frames before and after that it may show a little of it
 _MOST_HIDDEN = 0.5  # of the frames
 _LEFT_BEHIND = 2.0  # times the most that motion explains
 _HALVED = (
-    0.5  # of what a small motion leaves, beside what a codec leaves: less shows that it was a large motion
+    0.5  # of what a small motion leaves: if a large one leaves less, it is large (a codec leaves the rest)
 )
 Frames = Callable[[Box], np.ndarray]  # some frames' grey levels [f, h, w], 0 to 255, in a box
 

@@ -254,8 +254,8 @@ def false_changes(
 ) -> np.ndarray:
     """Return [R, H, W, 3]: of the change by motions [R, N, DOF] what the scene at rest has and `mean` [H, W, 3] lacks.
 
-    Of a flat capture it corrects the answer, by slopes exact for fine texture; else it is in the ± alone, whose
-    calibration has central differences.
+    It corrects the answer of one fixed camera, by slopes exact for fine texture (`is_flat`). `measure` takes it into
+    the ± in 3D, whose calibration has central differences.
     """
     error = view.over_white - mean
     down, right = ((slope(error, axis) if is_flat else np.gradient(error, axis=axis)) for axis in (0, 1))
