@@ -10,7 +10,6 @@ from benchmarks.calibration.film import Coding, Film, FilmMode, Layer, texture
 from benchmarks.calibration.film import write_video as write_film
 from tests.capture.sfm.videos import write_video
 from tests.capture.tracking.test_region import FPS, FRAMES, SIDE, TIMES, moving, wave
-from tg4mm.capture.codec import before_compression
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.show.measure import measure, parse_sensor, prepare_video
@@ -139,11 +138,10 @@ def test_a_strong_vibration_that_rings_down_in_a_coded_film_is_not_taken_for_som
     assert np.sqrt((error**2).mean()) < 0.25 * np.sqrt((true**2).mean())
 
 
-@pytest.mark.parametrize("px", [0.3, 0.8])
+@pytest.mark.parametrize("px", [0.5, 0.8])
 def test_frames_in_which_something_passes_take_nothing_from_the_amplitude(tmp_path, px):
     motion = lambda t: float(np.cos(2 * np.pi * 4.4 * t + 1))  # noqa: E731
-    result, peak = coded(tmp_path / "f.mp4", 1, 16, 1.0, 0.3, motion, px, range(100, 145))
+    result, peak = coded(tmp_path / "f.mp4", 2, 16, 1.0, 0.3, motion, px, range(100, 145))
     assert result.motion.hidden[110:135].mean() > 0.8
-    orbit = orbit_of(peak)
-    size, _ = before_compression(orbit.amplitude, orbit.deviation, result.losses[0])
-    assert abs(size - px) < 0.15 * px  # a seventh was lost where the hidden frames were interpolated
+    # Interpolated in the hidden frames it would be a quarter less.
+    assert orbit_of(peak).amplitude == pytest.approx(px, rel=0.05)
