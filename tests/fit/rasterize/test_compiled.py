@@ -28,7 +28,7 @@ from tests.fit.rasterize.oracle import check, make_scene
 from tg4mm.fit.rasterize.kernels import blend, blend_backward
 
 check(make_scene(0, n=300, size=(50, 38)))
-outer = (blend._forward, blend_backward._backward)
+outer = (blend._forward.__wrapped__, blend_backward._backward.__wrapped__)
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # a kernel from the cache has no machine code to show
     code = [k.inspect_asm(k.signatures[0]) for k in outer]
@@ -60,7 +60,7 @@ def test_a_change_in_another_file_is_noticed(tmp_path, folder):
     constants.write_text("ANSWER = 41\n")
     (package / "kernels" / "use.py").write_text(
         f"from small.kernels.compiled import kernel\nfrom small.{folder}.constants import ANSWER\n\n\n"
-        "@kernel()\ndef answer(x):\n    return x[0] + ANSWER\n"
+        "@kernel\ndef answer(x):\n    return x[0] + ANSWER\n"
     )
     assert outcome(tmp_path) == (41, 0, 1)
     assert outcome(tmp_path) == (41, 2, 0)

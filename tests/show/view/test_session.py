@@ -1,11 +1,9 @@
 """Pictures of the scene as `tg4mm render` writes them, playing time, the browser's camera, a chart."""
 
 import re
-import threading
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 
@@ -86,27 +84,6 @@ def test_weights_of_a_pixel_sum_to_its_opacity_and_name_who_is_there(scene, pain
     assert weights[moves].sum() > 0.9 * weights.sum()
     corner = painter.pixel_weights(DisplaySettings(Magnification.of(0.0)), 0.0, camera, 0, 0)
     assert corner.sum() < 0.05
-
-
-def test_pictures_are_drawn_at_the_moments_that_a_measurement_gives(scene, monkeypatch):
-    painter, drawn = SceneRenderer(scene), threading.Event()
-    monkeypatch.setattr(numba, "threading_layer", lambda: "workqueue")
-    camera = scene.cameras[0]
-
-    def draw():
-        assert painter.paint(DisplaySettings(), 0.0, camera).dtype == np.uint8
-        drawn.set()
-
-    with painter.beside() as let_paint:
-        thread = threading.Thread(target=draw)
-        thread.start()
-        assert not drawn.wait(0.5)  # the kernels are the measurement's
-        for _ in range(200):
-            let_paint()
-            if drawn.is_set():
-                break
-        assert drawn.is_set()
-    thread.join()
 
 
 @pytest.fixture

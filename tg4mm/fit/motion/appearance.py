@@ -90,7 +90,7 @@ def appearance_views(
     return out
 
 
-@kernel()
+@kernel
 def _spread(harmonics, x, colours):
     """colours[r, n, :3] = Σ_k harmonics[n, k] x[r, n, k]."""
     for r in range(x.shape[0]):
@@ -100,7 +100,7 @@ def _spread(harmonics, x, colours):
                     colours[r, n, c] += harmonics[n, k] * x[r, n, k, c]
 
 
-@kernel()
+@kernel
 def _gather(harmonics, v_colours, out):
     """The transpose of `_spread`, added to `out`."""
     for r in range(out.shape[0]):

@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import float32, get_num_threads, int64, prange
+from numba import float32, get_num_threads, int64
 from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix, vstack
 from scipy.spatial import cKDTree
 
-from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, shared
 from tg4mm.fit.rasterize.simd.lanes import broadcast_rows, load_field, store_field, sum_rows, transposed_times
 from tg4mm.fit.rasterize.simd.memory import number
 from tg4mm.fit.rasterize.simd.vector import broadcast, fma
@@ -60,7 +60,7 @@ def gradient_to_rotation(axes: np.ndarray, scales: np.ndarray) -> np.ndarray:
     return out.reshape(-1, 9, 3).astype(np.float32)
 
 
-@kernel()
+@kernel
 def _to_motion(rotations, field, motion):
     for i in range(len(rotations)):
         for d in range(3):
@@ -71,7 +71,7 @@ def _to_motion(rotations, field, motion):
             motion[i, 3 + d] = total
 
 
-@kernel()
+@kernel
 def _from_motion(rotations, v_motion, v_field):
     for i in range(len(rotations)):
         x, y, z = v_motion[i, 3], v_motion[i, 4], v_motion[i, 5]
@@ -97,20 +97,20 @@ def _product(start, other, edge_rows, signs, x, i):
     return fma(differences, bending, total)
 
 
-@kernel(parallel=True)
-def _add_prior(n, edges, signs, x, smoothness, ridge, out):
+@shared
+def _add_prior(worker, workers, n, edges, signs, x, smoothness, ridge, out):
     start, other, edge_rows = edges
-    for chunk in prange((n + _CHUNK - 1) // _CHUNK):
+    for chunk in range(worker, (n + _CHUNK - 1) // _CHUNK, workers):
         for i in range(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK)):
             at = int64(i) * _WIDTH
             smooth = fma(_product(start, other, edge_rows, signs, x, i), smoothness, load_field(out, at))
             store_field(out, at, fma(load_field(x, at), ridge, smooth))
 
 
-@kernel(parallel=True)
-def _smooth(n, edges, signs, blocks, x, out):
+@shared
+def _smooth(worker, workers, n, edges, signs, blocks, x, out):
     start, other, edge_rows = edges
-    for chunk in prange((n + _CHUNK - 1) // _CHUNK):
+    for chunk in range(worker, (n + _CHUNK - 1) // _CHUNK, workers):
         for i in range(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK)):
             at = int64(i) * _WIDTH
             product = _product(start, other, edge_rows, signs, x, i)
@@ -119,9 +119,9 @@ def _smooth(n, edges, signs, blocks, x, out):
             )
 
 
-@kernel(parallel=True)
-def _multiply_blocks(n, blocks, x, out, keep):
-    for chunk in prange((n + _CHUNK - 1) // _CHUNK):
+@shared
+def _multiply_blocks(worker, workers, n, blocks, x, out, keep):
+    for chunk in range(worker, (n + _CHUNK - 1) // _CHUNK, workers):
         for i in range(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK)):
             at = int64(i) * _WIDTH
             product = transposed_times(blocks, int64(i) * ROWS * ROWS, load_field(x, at))

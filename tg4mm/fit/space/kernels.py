@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import config, float32, float64, get_thread_id, prange
+from numba import config, float32, float64
 
-from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, part
+from tg4mm.fit.rasterize.kernels.compiled import inlined, part, shared
 from tg4mm.fit.rasterize.kernels.layout import FEAT, FEATURES, POWER
 from tg4mm.fit.rasterize.kernels.project import ROWS
 from tg4mm.fit.rasterize.kernels.project_backward import backward_rows
@@ -15,8 +15,22 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15  # Adam's; torch's defaults but for th
 MEANS, QUATS, LOG_SCALES, LOGITS, SH0, SHN = range(6)
 
 
-@kernel(parallel=True)
-def compare(image, transmittance, target, white, gain, scale, l2, more, v_image, v_transmittance, squares):
+@shared
+def compare(
+    worker,
+    workers,
+    image,
+    transmittance,
+    target,
+    white,
+    gain,
+    scale,
+    l2,
+    more,
+    v_image,
+    v_transmittance,
+    squares,
+):
     """Gradient of scale · (L1 + l2 · MSE) by image and transmittance, and the error for the carrier channel.
 
     The picture is image [H, W, FEATURES] over white, times gain [3]; target [H, W, 3]. `more` [H, W, 3] is added to the
@@ -26,7 +40,7 @@ def compare(image, transmittance, target, white, gain, scale, l2, more, v_image,
     height, width = transmittance.shape
     one = float32(scale / (3 * height * width))
     two = float32(2.0 * l2) * one
-    for y in prange(height):
+    for y in range(worker, height, workers):
         total = float64(0.0)
         for x in range(width):
             behind = transmittance[y, x] * float32(white)
@@ -56,11 +70,11 @@ def _activate_rows(log_scales, logits, scales, opacities):
         opacities[i] = one / (one + math.exp(-logits[i]))
 
 
-@kernel(parallel=True)
-def activate(log_scales, logits, scales, opacities):
+@shared
+def activate(worker, workers, log_scales, logits, scales, opacities):
     """Activate the free parameters: scales [N, 3] and opacities [N]."""
     n = len(logits)
-    for chunk in prange((n + ROWS - 1) // ROWS):
+    for chunk in range(worker, (n + ROWS - 1) // ROWS, workers):
         a, b = chunk * ROWS, min(n, chunk * ROWS + ROWS)
         _activate_rows(log_scales[a:b], logits[a:b], scales[a:b], opacities[a:b])
 
@@ -95,8 +109,8 @@ def scratch_shape(coefficients: int) -> tuple[int, int]:
     return config.NUMBA_NUM_THREADS, ROWS * (11 + 3 * coefficients)  # type: ignore[attr-defined]
 
 
-@kernel(parallel=True)
-def step(values, ms, vs, active, view, splats, v_splats, error, rates, root, room):
+@shared
+def step(worker, workers, values, ms, vs, active, view, splats, v_splats, error, rates, root, room):
     """Step parameters and Adam's moments in place, from the sums of pairs (kernels/layout.py).
 
     values, ms, vs: (means [N, 3], quats [N, 4], log_scales [N, 3], logits [N], sh [N, K, 3]) and their moments.
@@ -114,9 +128,9 @@ def step(values, ms, vs, active, view, splats, v_splats, error, rates, root, roo
     for k in range(3 * asked):
         sh_rates[k] = rates[SH0] if k < 3 else rates[SHN]
     yes = n >= 0  # not a literal: for each value of it `backward_rows` would be compiled anew
-    for chunk in prange((n + ROWS - 1) // ROWS):
+    for chunk in range(worker, (n + ROWS - 1) // ROWS, workers):
         a, b = chunk * ROWS, min(n, chunk * ROWS + ROWS)
-        local, m = room[get_thread_id()], b - a
+        local, m = room[worker], b - a
         local[:] = zero
         v_means, v_quats = local[: 3 * m].reshape((m, 3)), local[3 * m : 7 * m].reshape((m, 4))
         v_scales, v_opacities = local[7 * m : 10 * m].reshape((m, 3)), local[10 * m : 11 * m]

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import gelu, linear
 
 from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.rasterize.kernels.compiled import shared
 
 PLANES = ((0, 1), (0, 2), (1, 2))  # xy, xz, yz: the coordinates along columns and rows
 _OUTER = (0.5, 99.5)  # percentiles of the points that the box spans; points beyond lie on its border
@@ -74,11 +74,13 @@ def _on(cells: "TouchedCells", device: torch.device) -> tuple[Tensor, Tensor]:
     )
 
 
-@numba.njit(parallel=True, cache=True, fastmath={"contract"})
-def gather(values: np.ndarray, index: np.ndarray, weight: np.ndarray, out: np.ndarray) -> None:
+@shared
+def gather(
+    worker: int, workers: int, values: np.ndarray, index: np.ndarray, weight: np.ndarray, out: np.ndarray
+) -> None:
     """out [N, 3 C] = Σ_j weight · values[index]: values [A, C], index and weight [3, N, 4]."""
     channels = values.shape[1]
-    for n in numba.prange(index.shape[1]):
+    for n in range(worker, index.shape[1], workers):
         for k in range(3):
             a, b, c, d = index[k, n, 0], index[k, n, 1], index[k, n, 2], index[k, n, 3]
             wa, wb, wc, wd = weight[k, n, 0], weight[k, n, 1], weight[k, n, 2], weight[k, n, 3]
@@ -88,8 +90,10 @@ def gather(values: np.ndarray, index: np.ndarray, weight: np.ndarray, out: np.nd
                 )
 
 
-@numba.njit(parallel=True, cache=True, fastmath={"contract"})
+@shared
 def gather_back(
+    worker: int,
+    workers: int,
     v_out: np.ndarray,
     first: np.ndarray,
     point: np.ndarray,
@@ -99,7 +103,7 @@ def gather_back(
 ) -> None:
     """The transpose: v_values [A, C] from v_out [N, 3 C]; entries of every cell as in `TouchedCells`."""
     channels = v_values.shape[1]
-    for a in numba.prange(len(first) - 1):
+    for a in range(worker, len(first) - 1, workers):
         for i in range(channels):
             v_values[a, i] = 0.0
         for e in range(first[a], first[a + 1]):

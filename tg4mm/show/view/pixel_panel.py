@@ -84,19 +84,18 @@ class PixelPanel:
         words = "Measuring …" if self._measurer.is_ready else _READING
         self._answer.content = block(words)
         try:
-            with self._session.painter.beside() as let_paint, listened_to(self._heard(words, let_paint)):
+            with listened_to(self._heard(words)):
                 found = self._measurer.at(point)
         except (Tg4mmError, OSError) as error:
             self._answer.content = block(f"Not measured: {error}")
             return
         self._answer.content = self._words(found, point)
 
-    def _heard(self, words: str, let_paint: Callable[[], None]) -> Callable[[str], None]:
+    def _heard(self, words: str) -> Callable[[str], None]:
         """Return a listener that shows a job's progress under `words`."""
 
         def heard(line: str) -> None:
             self._answer.content = block(words, line[:1].upper() + line[1:])
-            let_paint()
 
         return heard
 

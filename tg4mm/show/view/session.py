@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
@@ -25,7 +23,6 @@ from tg4mm.show.view.colours import Colour, gaussian_colours
 from tg4mm.show.view.scene import RunScene
 
 Bands = tuple[tuple[float, float], ...]
-_MOMENT = 0.02  # seconds, enough for a thread that waits for the painter
 _SH_0 = 0.28209479177387814  # the constant spherical harmonic: coefficient to colour
 
 
@@ -40,35 +37,13 @@ class DisplaySettings:
 
 
 class SceneRenderer:
-    """Draws a scene, one picture at a time; calls from several threads wait for each other.
-
-    numba's kernels use all cores anyway, and some of its threading layers allow only one caller.
-    """
+    """Draws a scene, one picture at a time, which uses all cores: calls from several threads wait for each other."""
 
     def __init__(self, scene: RunScene) -> None:
         self._scene = scene
         self._pose = animator(scene.gaussians, scene.motion, packed=True)
         self._lock = threading.Lock()
         self._coloured: tuple[tuple[Colour, Bands], Tensor | None] = (Colour.picture, ()), None
-
-    @contextmanager
-    def beside(self) -> Iterator[Callable[[], None]]:
-        """Let other numba kernels run beside the painter's.
-
-        If numba's threads do not allow that, pictures wait until the yielded function is called, which admits them for
-        a moment.
-        """
-        if numba.threading_layer() != "workqueue":
-            yield lambda: None
-            return
-
-        def let_paint() -> None:
-            self._lock.release()
-            time.sleep(_MOMENT)
-            self._lock.acquire()
-
-        with self._lock:
-            yield let_paint
 
     def paint(self, look: DisplaySettings, seconds: float, camera: Camera) -> np.ndarray:
         """Return the scene `seconds` into the capture over white, [height, width, 3] uint8."""

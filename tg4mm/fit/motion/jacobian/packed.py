@@ -4,10 +4,10 @@ Blocks are stored without their zeros.
 """
 
 import numpy as np
-from numba import float32, int64, prange
+from numba import float32, int64
 
 from tg4mm.fit.rasterize.kernels import linearised
-from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, shared
 from tg4mm.fit.rasterize.kernels.layout import SPLAT_WIDTH
 from tg4mm.fit.rasterize.kernels.project import ROWS
 from tg4mm.fit.rasterize.kernels.project_backward import backward_rows
@@ -59,10 +59,10 @@ def mean_rows(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return of_displacement[..., 0], of_displacement[..., 1]
 
 
-@kernel(parallel=True)
-def _jvp(count, values, rows, conic_lanes, motions, shape, d_splats):
+@shared
+def _jvp(worker, workers, count, values, rows, conic_lanes, motions, shape, d_splats):
     n_motions, n = shape
-    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
+    for chunk in range(worker, (count + _CHUNK - 1) // _CHUNK, workers):
         conic = load(conic_lanes, int64(0))
         for k in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
             i, at = int64(rows[k]), int64(k) * _PACKED
@@ -92,7 +92,7 @@ def _sum_pairs(v_pairs, slots, first, last, width, at, are_two):
     return total
 
 
-@kernel()
+@kernel
 def _vjp_range(first, last, values, rows, conic_lanes, pairs, shape, v_motions):
     n_motions, n = shape
     starts, slots, v_pairs = pairs
@@ -122,9 +122,9 @@ def _vjp_range(first, last, values, rows, conic_lanes, pairs, shape, v_motions):
                     v_motions[m + d] += room[COLUMNS * half + d]
 
 
-@kernel(parallel=True)
-def _vjp(count, values, rows, conic_lanes, pairs, shape, v_motions):
-    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
+@shared
+def _vjp(worker, workers, count, values, rows, conic_lanes, pairs, shape, v_motions):
+    for chunk in range(worker, (count + _CHUNK - 1) // _CHUNK, workers):
         last = min(count, (chunk + 1) * _CHUNK)
         _vjp_range(chunk * _CHUNK, last, values, rows, conic_lanes, pairs, shape, v_motions)
 
@@ -150,7 +150,7 @@ def vjp_rows(
     _vjp(len(rows), values, rows, _CONIC_LANES, pairs, v_motions.shape[:2], v_motions.reshape(-1))
 
 
-@kernel()
+@kernel
 def _of_some(means, quats, scales, sh, degree, camera, width, height, splats, columns, out):
     n = len(means)
     v_splats = np.zeros((n, SPLAT_WIDTH), np.float32)
@@ -178,10 +178,10 @@ def _of_some(means, quats, scales, sh, degree, camera, width, height, splats, co
             out[i, c, 5] = half * (w * vz - z * vw + x * vy - y * vx)
 
 
-@kernel(parallel=True)
-def _of_all(means, quats, scales, sh, degree, camera, width, height, splats, columns, out):
+@shared
+def _of_all(worker, workers, means, quats, scales, sh, degree, camera, width, height, splats, columns, out):
     n = len(means)
-    for chunk in prange((n + ROWS - 1) // ROWS):
+    for chunk in range(worker, (n + ROWS - 1) // ROWS, workers):
         a, b = chunk * ROWS, min(n, chunk * ROWS + ROWS)
         _of_some(
             means[a:b], quats[a:b], scales[a:b], sh[a:b], degree, camera, width, height, splats[a:b], columns,

@@ -6,7 +6,6 @@ Beyond its edge a picture is continued by its edge.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from scipy.ndimage import spline_filter1d
 
@@ -16,6 +15,7 @@ from tg4mm.core.even_clock import later
 from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.core.progress import progress
 from tg4mm.fit.motion.observations import PosedFrames
+from tg4mm.fit.rasterize.kernels.compiled import part, shared
 
 _DECAY = 12  # pixels: 0.268¹² of a pixel's value is what a cubic spline's coefficients so far away owe to it
 _UNMOVED_PX = 1e-3  # smaller motion is not put back
@@ -136,16 +136,23 @@ def _farthest(homographies: np.ndarray, size: tuple[int, int]) -> int:
     return int(np.ceil(np.abs(to[..., 1] / to[..., 2] - corners[:, 1]).max()))
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
+@shared
 def _resample(
-    coefficients: np.ndarray, homographies: np.ndarray, first: int, top: int, height: int, out: np.ndarray
+    worker: int,
+    workers: int,
+    coefficients: np.ndarray,
+    homographies: np.ndarray,
+    first: int,
+    top: int,
+    height: int,
+    out: np.ndarray,
 ) -> None:
     """Fill the colours of out [F, rows, W, 4] from spline coefficients [F, rows', W, 3].
 
     The first row of `out` is row `top` of the picture; the coefficients begin at row `first`.
     """
     width = coefficients.shape[2]
-    for f in numba.prange(len(out)):
+    for f in range(worker, len(out), workers):
         h = homographies[f]
         wx, wy = np.empty(4, np.float32), np.empty(4, np.float32)
         for i in range(out.shape[1]):
@@ -157,14 +164,22 @@ def _resample(
                 _sample(coefficients[f], u, v, first, height, width, wx, wy, out[f, i, j])
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _resample_by(coefficients: np.ndarray, moved: np.ndarray, top: int, left: int, out: np.ndarray) -> None:
+@shared
+def _resample_by(
+    worker: int,
+    workers: int,
+    coefficients: np.ndarray,
+    moved: np.ndarray,
+    top: int,
+    left: int,
+    out: np.ndarray,
+) -> None:
     """A part of out [F, H, W, 3], whose corner is at row `top` and column `left`, by spline coefficients [F, H, W, 3].
 
     From where its pixels have moved to, by `moved` [F, rows, columns, 2].
     """
     height, width = out.shape[1:3]
-    for f in numba.prange(len(out)):
+    for f in range(worker, len(out), workers):
         wx, wy = np.empty(4, np.float32), np.empty(4, np.float32)
         for i in range(moved.shape[1]):
             for j in range(moved.shape[2]):
@@ -172,7 +187,7 @@ def _resample_by(coefficients: np.ndarray, moved: np.ndarray, top: int, left: in
                 _sample(coefficients[f], u, v, 0, height, width, wx, wy, out[f, top + i, left + j])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@part
 def _sample(
     coefficients: np.ndarray,
     u: float,
@@ -204,7 +219,7 @@ def _sample(
     out[0], out[1], out[2] = r, g, b
 
 
-@numba.njit(cache=True, error_model="numpy")
+@part
 def _mirrored(at: int, size: int) -> int:
     """The pixel within `size` that stands for one that may lie beyond the edge."""
     if at < 0:
@@ -214,7 +229,7 @@ def _mirrored(at: int, size: int) -> int:
     return at
 
 
-@numba.njit(cache=True, error_model="numpy")
+@part
 def _weights(t: float, out: np.ndarray) -> None:
     """Write the weights of the four coefficients about a place, t in 0..1 behind the second (cubic B-spline)."""
     s = 1 - t

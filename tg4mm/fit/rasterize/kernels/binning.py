@@ -10,11 +10,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import float32, int64, prange, uint32
+from numba import float32, int64, uint32
 
 from tg4mm.core.memory import Buffers
 from tg4mm.fit.rasterize.kernels.block_culling import prefetch_gaussians
-from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, shared
 from tg4mm.fit.rasterize.kernels.layout import CC, DEPTH, EX, EY, MX, POWER, SPLAT_WIDTH, SQUARES, TILE
 from tg4mm.fit.rasterize.simd import functions  # noqa: F401, roots of vectors and whole numbers near them
 from tg4mm.fit.rasterize.simd.memory import address, keep, load, number, prefetch_row, store
@@ -90,7 +90,7 @@ def tiles_of_row(room, lane, r):
     return int64(number(room, place)), int64(number(room, place + LANES))
 
 
-@kernel()
+@kernel
 def _radix_pass(keys, order, keys_out, order_out, n, shift, size):
     """One stable counting pass over the digit of `keys` at bit `shift`."""
     count = np.zeros(size + 1, np.int64)
@@ -107,28 +107,31 @@ def _radix_pass(keys, order, keys_out, order_out, n, shift, size):
         count[d] = place + 1
 
 
-@kernel()
+@kernel
 def depth_order(splats, keys, order, keys2, order2):
     """Indices of the visible Gaussians by increasing depth, stable, in `order2`. Returns their number.
 
     Least-significant-digit radix sort of the bits of a positive float, which order as the floats do.
     """
     bits = splats[:, DEPTH].copy().view(np.uint32)
-    n = 0
+    n = int64(0)
     for i in range(splats.shape[0]):
         if splats[i, POWER] > float32(0.0):
             keys[n] = bits[i]
             order[n] = i
             n += 1
-    size = 1 << _RADIX_BITS
-    _radix_pass(keys, order, keys2, order2, n, 0, size)
-    _radix_pass(keys2, order2, keys, order, n, _RADIX_BITS, size)
-    _radix_pass(keys, order, keys2, order2, n, 2 * _RADIX_BITS, size)
+    digit, size = (
+        int64(_RADIX_BITS),
+        int64(1 << _RADIX_BITS),
+    )  # for each literal a pass would be compiled anew
+    _radix_pass(keys, order, keys2, order2, n, int64(0), size)
+    _radix_pass(keys2, order2, keys, order, n, digit, size)
+    _radix_pass(keys, order, keys2, order2, n, 2 * digit, size)
     return n
 
 
-@kernel(parallel=True)
-def list_pairs(splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_chunk, needed):
+@shared
+def list_pairs(worker, workers, splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_chunk, needed):
     """The tiles of every Gaussian in depth order, chunk by chunk, and how many pairs a chunk gives each tile.
 
     `tiles` [chunks, capacity]: what does not fit is counted in `needed` [chunks] but not written, and the caller
@@ -136,7 +139,7 @@ def list_pairs(splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_ch
     """
     size = (n_visible + _CHUNKS - 1) // _CHUNKS
     room = tiles.shape[1]
-    for chunk in prange(_CHUNKS):
+    for chunk in range(worker, _CHUNKS, workers):
         count = per_chunk[chunk]
         count[:] = 0
         spans = np.empty(extents_room(n_y), np.float32)
@@ -159,7 +162,7 @@ def list_pairs(splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_ch
         needed[chunk] = total
 
 
-@kernel()
+@kernel
 def offsets(per_chunk, tile_start):
     """Turn counts into start positions: `tile_start` [tiles + 1], and in place those of each chunk's pairs."""
     n_chunks, n_tiles = per_chunk.shape
@@ -176,12 +179,14 @@ def offsets(per_chunk, tile_start):
             per_chunk[chunk, tile] += tile_start[tile]
 
 
-@kernel(parallel=True)
-def fill_pairs(order, n_visible, tiles, needed, per_chunk, gaussian_start, pair_gaussian, pair_slot):
+@shared
+def fill_pairs(
+    worker, workers, order, n_visible, tiles, needed, per_chunk, gaussian_start, pair_gaussian, pair_slot
+):
     """Write each tile's Gaussians in depth order, and for each Gaussian where its pairs went."""
     size = (n_visible + _CHUNKS - 1) // _CHUNKS
     gaussian_start[0] = 0
-    for chunk in prange(_CHUNKS):
+    for chunk in range(worker, _CHUNKS, workers):
         taken = per_chunk[chunk]
         base = int64(0)
         for c in range(chunk):
@@ -200,12 +205,12 @@ def fill_pairs(order, n_visible, tiles, needed, per_chunk, gaussian_start, pair_
             n = end
 
 
-@kernel(parallel=True)
-def gather_sums(order, n_visible, gaussian_start, pair_slot, pair_sums, v_splats):
+@shared
+def gather_sums(worker, workers, order, n_visible, gaussian_start, pair_slot, pair_sums, v_splats):
     """Add up the `pair_sums` [P, SPLAT_WIDTH] of each visible Gaussian, in a fixed order, to its row of `v_splats`."""
     last = len(pair_slot) - 1
     pairs, sums = pair_sums.reshape(-1), v_splats.reshape(-1)
-    for k in prange(n_visible):
+    for k in range(worker * n_visible // workers, (worker + 1) * n_visible // workers):
         i = order[k]
         prefetch_row(v_splats, int64(order[min(k + _PREFETCH, n_visible - 1)]))
         total = broadcast(float32(0.0))

@@ -10,7 +10,7 @@ Writes to memory outside the caches are slow, and few can be in flight at a time
 import math
 
 import numpy as np
-from numba import float32, int64, njit, prange, uint32, uint64
+from numba import float32, int64, uint32, uint64
 
 from tg4mm.fit.rasterize.kernels.block_culling import (
     by_gaussian,
@@ -21,7 +21,7 @@ from tg4mm.fit.rasterize.kernels.block_culling import (
     room,
     row_of,
 )
-from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, shared
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, TILE
 from tg4mm.fit.rasterize.kernels.tiles import (
     BLOCKS,
@@ -209,8 +209,8 @@ def _note_seen(by_block, count, reached):
         )
 
 
-@kernel()
-def _forward_tiles(worker, workers, parts, counter, tables, frame, splats, image, transmittance, alpha_min):
+@shared
+def _forward(worker, workers, parts, counter, tables, frame, splats, image, transmittance, alpha_min):
     tile_start, pair_gaussian, table, reached = tables
     order, blank = parts
     width, height = frame
@@ -281,7 +281,7 @@ def _forward_tiles(worker, workers, parts, counter, tables, frame, splats, image
     keep(blank)
 
 
-@njit
+@kernel
 def _parts(order, tile_start, n_x, height):
     """The tiles that have pairs, in the order given, and the rows of pixels of those that have none, for `write_blank`.
 
@@ -305,15 +305,6 @@ def _parts(order, tile_start, n_x, height):
     return some[:n_some], blank[:n_blank]
 
 
-@kernel(parallel=True)
-def _forward(workers, order, counter, tables, frame, splats, image, transmittance, alpha_min):
-    parts = _parts(order, tables[0], (frame[0] + TILE - 1) // TILE, frame[1])
-    for worker in prange(workers):
-        _forward_tiles(
-            int64(worker), workers, parts, counter, tables, frame, splats, image, transmittance, alpha_min
-        )
-
-
 def blend_forward(
     splats: np.ndarray,
     tile_start: np.ndarray,
@@ -332,4 +323,6 @@ def blend_forward(
     if reached is None:
         reached = np.empty(0, np.uint32)
     tables, frame = (tile_start, pair_gaussian, TABLE, reached), (width, height)
-    _forward(*work(tile_start), tables, frame, splats, image, transmittance, alpha_min)
+    order, counter = work(tile_start)
+    parts = _parts(order, tile_start, -(-width // TILE), height)
+    _forward(parts, counter, tables, frame, splats, image, transmittance, alpha_min)

@@ -10,10 +10,10 @@ Here a Gaussian's blocks follow each other: its sums stay in registers, the pixe
 import math
 
 import numpy as np
-from numba import float32, int64, prange, uint32, uint64
+from numba import float32, int64, uint32, uint64
 
 from tg4mm.fit.rasterize.kernels.block_culling import fill_batch, log2_alpha, room
-from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.fit.rasterize.kernels.compiled import inlined, shared
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, MX, MY, SPLAT_WIDTH, TILE
 from tg4mm.fit.rasterize.kernels.tiles import (
     BLOCKS,
@@ -204,8 +204,8 @@ def _pair_sums(splats, row, seen, x0, y0, table, held, kept, state):
     return lane_sums(sx, sy, sxx, sxy, syy, s, h0, h1, h2, h3)
 
 
-@kernel()
-def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, pair_sums, alpha_min):
+@shared
+def _backward(_, workers, order, counter, tables, frame, splats, pictures, pair_sums, alpha_min):
     tile_start, pair_gaussian, table, reached = tables
     n_x = (frame[0] + TILE - 1) // TILE
     image, transmittance, v_image, v_transmittance = pictures
@@ -256,12 +256,6 @@ def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, pa
                 store(v_out, pair * SPLAT_WIDTH, sums)
             first = last
     keep(memory)
-
-
-@kernel(parallel=True)
-def _backward(workers, order, counter, tables, frame, splats, pictures, pair_sums, alpha_min):
-    for _ in prange(workers):
-        _backward_tiles(workers, order, counter, tables, frame, splats, pictures, pair_sums, alpha_min)
 
 
 def blend_backward(

@@ -1,23 +1,28 @@
 """`kernel`: numba's njit with a cache on disk that a change in any file of kernels/ or simd/ invalidates.
 
+`shared`: a kernel whose work several threads share. They are Python's, since a kernel needs no interpreter while it
+runs; with numba's own (`parallel=True`) the same machine code is compiled four times.
+
 Numba's own cache looks at the file of the function alone, but kernels take constants and helpers from other files of
 these two folders: after a change there it would go on serving machine code of the old ones.
 
 A process that finds kernels missing from the cache says so, once, to the log `tg4mm`, which the program shows.
 """
 
+import gc
 import hashlib
 import logging
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, update_wrapper
 from pathlib import Path
 from typing import Any
 
-from numba import njit
+from numba import config, get_num_threads, njit
 from numba.core import event
 
 _LOG = logging.getLogger("tg4mm")
-# What `parallel=True` would run on threads besides `prange`: arrays filled, sums … Each would be compiled as a kernel.
-_ALONE = ("comprehension", "reduction", "inplace_binop", "setitem", "numpy", "stencil", "fusion")
 
 # Of parts, which kernels alone call: wrappers for calls from Python would take a sixth of all compile time.
 _PART = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -34,41 +39,70 @@ def _digest() -> str:
 _SOURCES = _digest()
 
 
-class _Notice(event.Listener):
-    """Log once, at the first compilation, that it takes a while."""
+class _Compilation(event.Listener):
+    """Logs once, at the first compilation, that it takes a while; and lets no garbage be collected meanwhile.
+
+    A compilation makes millions of objects and keeps nearly all: looking through them takes a tenth of its time.
+    """
 
     def __init__(self) -> None:
-        self._said = False
+        self._said, self._depth, self._collected = False, 0, False
 
     def on_start(self, event: event.Event) -> None:
         if not self._said:
             self._said = True
             _LOG.info("compiling kernels for this processor, once: up to a minute")
+        if self._depth == 0:
+            self._collected = gc.isenabled()
+            gc.disable()
+        self._depth += 1
 
     def on_end(self, event: event.Event) -> None:
-        pass
+        self._depth -= 1
+        if self._depth == 0 and self._collected:
+            gc.enable()
 
 
-event.register("numba:compile", _Notice())
+event.register("numba:compile", _Compilation())
 
 
-def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile with numba's options, divisions as numpy's, cached until any file of kernels/ or simd/ changes.
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile, divisions as numpy's, cached until any file of kernels/ or simd/ changes."""
+    dispatcher = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+    # numba has no public way to say what a cached function depends on
+    index: Any = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+    if hasattr(index, "_source_stamp"):
+        index._source_stamp = (index._source_stamp, _SOURCES)
+    return dispatcher
 
-    parallel: for `prange` alone.
+
+def shared(function: Callable[..., None]) -> Any:
+    """Compile a kernel that every thread calls: its first arguments are the thread's number and how many there are.
+
+    It is called from Python without those two. It may not depend on the order in which threads run.
     """
-    if options.get("parallel"):
-        options["parallel"] = dict.fromkeys(_ALONE, False)
+    dispatcher = kernel(function)
 
-    def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
-        # numba has no public way to say what a cached function depends on
-        index: Any = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
-        if hasattr(index, "_source_stamp"):
-            index._source_stamp = (index._source_stamp, _SOURCES)
-        return dispatcher
+    def on_all_threads(*arguments: Any) -> None:
+        workers = get_num_threads()
+        others = [_pool().submit(dispatcher, k, workers, *arguments) for k in range(1, workers)]
+        try:
+            dispatcher(0, workers, *arguments)
+        finally:
+            for other in others:
+                other.result()
 
-    return decorate
+    return update_wrapper(on_all_threads, dispatcher)
+
+
+@lru_cache
+def _pool() -> ThreadPoolExecutor:
+    """The other threads. They are made when first needed, and anew in a process that was forked."""
+    return ThreadPoolExecutor(config.NUMBA_NUM_THREADS, "kernel")  # type: ignore[attr-defined]
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def part(function: Callable[..., Any]) -> Any:

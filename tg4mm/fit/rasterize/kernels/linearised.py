@@ -16,11 +16,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import float32, int64, prange
+from numba import float32, int64
 
 from tg4mm.fit.rasterize.kernels.binning import Bins
 from tg4mm.fit.rasterize.kernels.block_culling import BATCH, KEPT, batch_room, load_batch, weights
-from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, shared
 from tg4mm.fit.rasterize.kernels.layout import CA, CB, CC, FEAT, MX, MY, SPLAT_WIDTH, TILE
 from tg4mm.fit.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
 from tg4mm.fit.rasterize.simd.lanes import lane_sums_of_eight, store_eight
@@ -133,7 +133,7 @@ def _weigh(pixels, y0, x0, rows, columns, counts):
             counts[pixel(r, j, PIXELS)] = pixels[y0 + r, x0 + j]
 
 
-@kernel()
+@kernel
 def _counts(pixels, y0, x0, rows, columns):
     """Return whether any pixel of a tile has a weight."""
     for y in range(y0, y0 + rows):
@@ -171,8 +171,8 @@ def _write_changes(state, white, y0, x0, rows, columns, stride, d_images):
                     d_images[change, y0 + r, x0 + j, k] = behind + state[plane + (1 + k) * PIXELS + at]
 
 
-@kernel()
-def _tiles(order, counter, tables, most, job, frame, splats, n_changes, white, arrays, alpha_min):
+@shared
+def _tiles(_, workers, order, counter, tables, most, job, frame, splats, n_changes, white, arrays, alpha_min):
     tile_start, pair_gaussian, table, reached = tables
     d_splats, pixels, d_images, v_images, v_pairs = arrays
     height, width = frame
@@ -236,15 +236,7 @@ def _tiles(order, counter, tables, most, job, frame, splats, n_changes, white, a
     keep(planes)
 
 
-@kernel(parallel=True)
-def _all_tiles(
-    workers, order, counter, tables, most, job, frame, splats, n_changes, white, arrays, alpha_min
-):
-    for _ in prange(workers):
-        _tiles(order, counter, tables, most, job, frame, splats, n_changes, white, arrays, alpha_min)
-
-
-@kernel()
+@kernel
 def most_blocks(tile_start, reached):
     """Return the most blocks in any tile that the pairs of one reach, at least 1, and the most pairs."""
     most, longest = 1, 1
@@ -287,7 +279,7 @@ def _run(
     view: BlendedView, job: int, size: tuple[int, ...], n_changes: int, arrays: tuple[np.ndarray, ...]
 ) -> None:
     bins = view.bins
-    _all_tiles(
+    _tiles(
         *work(bins.tile_start), (bins.tile_start, bins.pair_gaussian, TABLE, bins.reached), view.most, job, size,
         view.splats, n_changes, np.float32(view.white), arrays, view.alpha_min,
     )  # fmt: skip

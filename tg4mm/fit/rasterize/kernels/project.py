@@ -9,10 +9,10 @@ Sixteen Gaussians at a time, a lane a Gaussian (`vector.py`).
 import math
 
 import numpy as np
-from numba import float32, int64, prange
+from numba import float32, int64
 
 from tg4mm.core.memory import Buffers
-from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, part
+from tg4mm.fit.rasterize.kernels.compiled import inlined, part, shared
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, POWER, SPLAT_WIDTH, SQUARES
 from tg4mm.fit.rasterize.kernels.sh import colour
 from tg4mm.fit.rasterize.simd import functions  # noqa: F401, roots and logarithms of vectors
@@ -163,8 +163,10 @@ def copy(source, target, count):
         put_number(target, int64(k), number(source, int64(k)))
 
 
-@kernel(parallel=True)
-def project_forward(means, quats, scales, opacities, features, degree, cam, width, height, splats):
+@shared
+def project_forward(
+    worker, workers, means, quats, scales, opacities, features, degree, cam, width, height, splats
+):
     """Fill `splats` [N, SPLAT_WIDTH]; what lies outside, behind or is too faint gets POWER = -1.
 
     features: [N, K, 3] SH coefficients where degree >= 0, else [N, 1, D] plain channels, D <= FEATURES.
@@ -172,7 +174,7 @@ def project_forward(means, quats, scales, opacities, features, degree, cam, widt
     n, wide_row = means.shape[0], int64(features.shape[1] * features.shape[2])
     w, h = float32(width), float32(height)
     camera = unpacked(cam)
-    for chunk in prange((n + ROWS - 1) // ROWS):
+    for chunk in range(worker, (n + ROWS - 1) // ROWS, workers):
         begin, end = int64(chunk) * ROWS, min(n, (int64(chunk) + 1) * ROWS)
         starts = np.empty(LANES, np.int32)
         for k in range(LANES):

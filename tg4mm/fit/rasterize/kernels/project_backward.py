@@ -7,9 +7,9 @@ cheaper than reading it.
 import math
 
 import numpy as np
-from numba import float32, int64, prange
+from numba import float32, int64
 
-from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, part
+from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel, part, shared
 from tg4mm.fit.rasterize.kernels.layout import CA, CB, CC, FEAT, FEATURES, MX, MY, OP, POWER, SPLAT_WIDTH
 from tg4mm.fit.rasterize.kernels.project import (
     CX,
@@ -204,7 +204,7 @@ def _rows_at(arrays, widths, row):
     )  # fmt: skip
 
 
-@kernel()
+@kernel
 def backward_rows(
     means, quats, scales, features, degree, cam, width, height, splats, v_splats, summed,
     v_means, v_quats, v_scales, v_opacities, v_features,
@@ -244,9 +244,9 @@ def backward_rows(
                     v_features[i, 0, k] += v_splats[i, FEAT + k]
 
 
-@kernel(parallel=True)
+@shared
 def project_backward(
-    means, quats, scales, features, degree, cam, width, height, splats, v_splats, summed,
+    worker, workers, means, quats, scales, features, degree, cam, width, height, splats, v_splats, summed,
     v_means, v_quats, v_scales, v_opacities, v_features,
 ):  # fmt: skip
     """Pull `v_splats` [N, SPLAT_WIDTH] back to the parameters, adding to the v_* arrays.
@@ -254,7 +254,7 @@ def project_backward(
     summed: `v_splats` contains sums of pairs (layout.py), not yet the gradient by `splats`.
     """
     n = means.shape[0]
-    for chunk in prange((n + ROWS - 1) // ROWS):
+    for chunk in range(worker, (n + ROWS - 1) // ROWS, workers):
         a, b = chunk * ROWS, min(n, chunk * ROWS + ROWS)
         backward_rows(
             means[a:b], quats[a:b], scales[a:b], features[a:b], degree, cam, width, height, splats[a:b],

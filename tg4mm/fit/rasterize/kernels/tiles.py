@@ -14,7 +14,7 @@ Threads take tiles from a common counter, those with long lists first. A tile's 
 import math
 
 import numpy as np
-from numba import float32, get_num_threads, int64, uint32
+from numba import float32, int64, uint32
 
 from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, FEATURES, SPLAT_WIDTH, T_MIN, TILE
@@ -138,7 +138,7 @@ def alphas_unbounded(y, faintest, alpha_max, powers):
     return select(alpha_max > raw, raw, alpha_max), raw
 
 
-@kernel()
+@kernel
 def _longest_first(tile_start):
     """Tiles by falling length of their lists, to the next power of √2; equal ones as they lie."""
     n = len(tile_start) - 1
@@ -157,6 +157,6 @@ def _longest_first(tile_start):
     return order
 
 
-def work(tile_start: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
-    """Number of workers, tiles in the order in which they are taken, and the common counter."""
-    return get_num_threads(), _longest_first(tile_start), np.zeros(1, np.int64)
+def work(tile_start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Tiles in the order in which threads take them, and their common counter."""
+    return _longest_first(tile_start), np.zeros(1, np.int64)
