@@ -51,7 +51,7 @@ class _Compilation(event.Listener):
     def on_start(self, event: event.Event) -> None:
         if not self._said:
             self._said = True
-            _LOG.info("compiling kernels for this processor, once: up to a minute")
+            _LOG.info("compiling kernels for this processor, once: half a minute")
         if self._depth == 0:
             self._collected = gc.isenabled()
             gc.disable()
