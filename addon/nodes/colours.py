@@ -11,6 +11,7 @@ from .. import names
 from .graph import Graph
 
 C0 = 0.28209479177387814  # Y_00, the constant spherical harmonic: 1 / (2 √π)
+IN_CACHE = 8192  # Gaussians at a time
 STEPS = 24  # of a colour map: a Color Ramp has at most 32 colours
 
 
@@ -19,8 +20,11 @@ def rest_colours(sh: np.ndarray) -> np.ndarray:
 
     Spherical harmonics of [3DGS] give display-referred sRGB, 0.5 + C0·sh_0; emission needs linear light.
     """
-    rgba = np.ones((len(sh), 4), np.float32)
-    rgba[:, :3] = to_linear(np.float32(0.5) + np.float32(C0) * sh[:, 0])
+    rgba = np.empty((len(sh), 4), np.float32)
+    rgba[:, 3] = 1
+    for start in range(0, len(sh), IN_CACHE):
+        rows = slice(start, start + IN_CACHE)
+        rgba[rows, :3] = to_linear(np.float32(0.5) + np.float32(C0) * sh[rows, 0])
     return rgba
 
 

@@ -19,7 +19,6 @@ from . import colours
 # A thinner ellipsoid cannot be inverted in float32, which the splat material needs.
 THINNEST = 1e-4  # of the longest axis
 SMALLEST = 1e-7  # scene units
-IN_CACHE = 8192  # Gaussians at a time
 # Of the attributes' data: the field that holds a value, and how many numbers that is.
 _FIELDS = {
     "FLOAT": ("value", 1),
@@ -193,8 +192,8 @@ def native_attributes(splat: SplatFile) -> dict[str, np.ndarray]:
     further = splat.sh[:, 1:].transpose(1, 0, 2)  # a PLY is read in this order
     if not further.flags.c_contiguous:
         further = np.empty((count - 1, n, 3), np.float32)
-        for start in range(0, n, IN_CACHE):  # one pass over the file's order, not one for each coefficient
-            rows = slice(start, start + IN_CACHE)
+        for start in range(0, n, colours.IN_CACHE):  # one pass over the file's order, not one for each coefficient
+            rows = slice(start, start + colours.IN_CACHE)
             further[:, rows] = splat.sh[rows, 1:].transpose(1, 0, 2)
     return {names.NATIVE_BASE: base} | {names.native_sh(k): further[k - 1] for k in range(1, count)}
 
@@ -219,8 +218,8 @@ def strength(phasors: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndar
     that two points have the same phase when they move to the same side at the same time.
     """
     amplitude, phase = (np.empty(len(phasors), np.float32) for _ in range(2))
-    for start in range(0, len(phasors), IN_CACHE):
-        rows = slice(start, start + IN_CACHE)
+    for start in range(0, len(phasors), colours.IN_CACHE):
+        rows = slice(start, start + colours.IN_CACHE)
         amplitude[rows], phase[rows] = _strength(phasors[rows], axis)
     return amplitude, phase
 

@@ -215,7 +215,8 @@ def _read(file: BinaryIO, header: Header, vertex: Element, plan: PlyColumns) -> 
     is_double = any(vertex.properties[name] == "<f8" for name in model.POSITION)
     means = np.empty((n, 3), np.float64 if is_double else np.float32)
     quats = np.empty((n, 4), np.float32)
-    logs, logits = np.full((n, 3), -np.inf, np.float32), np.empty(n, np.float32)
+    scales, opacities = np.zeros((n, 3), np.float32), np.empty(n, np.float32)
+    flat = ends = 0
     smooth = np.zeros(n, np.float32) if plan.filter else None
     sh = np.empty((k, n, 3), np.float32).transpose(1, 0, 2)  # as Blender takes it
     displacement, rotation = (np.empty((m, n, 3), np.complex64) for _ in range(2))
@@ -227,8 +228,10 @@ def _read(file: BinaryIO, header: Header, vertex: Element, plan: PlyColumns) -> 
             rows = slice(start, start := start + len(block))
             means[rows] = columns(block, model.POSITION)
             quats[rows] = columns(block, model.ROTATION)
-            logs[rows, : len(plan.scale)] = columns(block, plan.scale)
-            logits[rows] = columns(block, model.OPACITY)[:, 0]
+            logs = columns(block, plan.scale).astype(np.float32, copy=False)
+            logits = columns(block, model.OPACITY)[:, 0].astype(np.float32, copy=False)
+            scales[rows, : len(plan.scale)], opacities[rows] = np.exp(logs), model.sigmoid(logits)
+            flat, ends = flat + np.isneginf(logs).any(axis=1).sum(), ends + np.isinf(logits).sum()
             sh[rows, 0] = columns(block, plan.colour)
             sh[rows, 1:] = columns(block, plan.rest).reshape(len(block), 3, k - 1).transpose(0, 2, 1)
             if smooth is not None:
@@ -241,9 +244,7 @@ def _read(file: BinaryIO, header: Header, vertex: Element, plan: PlyColumns) -> 
                 deviation[:, rows] = columns(block, plan.deviations).T
     if plan.colour is RGB:
         sh[:, 0] = model.f_dc(sh[:, 0] / 255)
-    notes = (*plan.notes, *_infinite(logs[:, : len(plan.scale)], logits))
-    with np.errstate(over="ignore"):
-        scales, opacities = np.exp(logs), model.sigmoid(logits)
+    notes = (*plan.notes, *_infinite(int(flat), int(ends), n))
     if smooth is not None:
         scales, opacities = _smoothed(scales, opacities, smooth)
     origin = _far_origin(means, scales)
@@ -295,14 +296,13 @@ def _said(about: dict[str, Any], m: int) -> dict[str, Any]:
     return fields | ({"freqs_hz": np.array(about["frequencies_hz"], np.float64)} if m else {})
 
 
-def _infinite(logs: np.ndarray, logits: np.ndarray) -> list[str]:
+def _infinite(flat: int, ends: int, n: int) -> list[str]:
     """Return notes on Gaussians with valid but infinite values: log 0 and the logits of 0 and 1."""
-    flat, ends = int(np.isneginf(logs).any(axis=1).sum()), int(np.isinf(logits).sum())
     notes = []
     if flat:
-        notes.append(f"{flat:,} of {len(logits):,} Gaussians have a scale of log 0: read as flat")
+        notes.append(f"{flat:,} of {n:,} Gaussians have a scale of log 0: read as flat")
     if ends:
-        notes.append(f"{ends:,} of {len(logits):,} Gaussians have an infinite logit: read as opacity 0 or 1")
+        notes.append(f"{ends:,} of {n:,} Gaussians have an infinite logit: read as opacity 0 or 1")
     return notes
 
 
