@@ -35,6 +35,34 @@ with warnings.catch_warnings():
 hits = sum(sum(k.stats.cache_hits.values()) for k in outer)
 print(sum("zmm" in c for c in code), sum("ymm" in c for c in code), hits)
 """
+THREADS_SCRIPT = """
+import os, sys
+import numba, numpy as np
+from tg4mm.fit.rasterize.kernels.compiled import shared
+numba.set_num_threads(2)
+
+@shared
+def mark(worker, workers, out):
+    for k in range(worker, len(out), workers):
+        out[k] = worker + 1
+
+def marked():
+    out = np.zeros(5)
+    mark(out)
+    return out.tolist()
+
+print(marked())
+sys.stdout.flush()
+if hasattr(os, "fork"):
+    child = os.fork()
+    if child == 0:
+        os._exit(marked() != [1, 2, 1, 2, 1])
+    assert os.waitpid(child, 0)[1] == 0
+try:
+    mark("no array")
+except numba.TypingError:
+    print("refused")
+"""
 
 
 def outcome(folder):
@@ -66,6 +94,15 @@ def test_a_change_in_another_file_is_noticed(tmp_path, folder):
     assert outcome(tmp_path) == (41, 2, 0)
     constants.write_text("ANSWER = 42\n")
     assert outcome(tmp_path) == (42, 0, 1)
+
+
+def test_threads_share_a_kernel_also_in_a_forked_process_and_say_what_is_wrong(tmp_path):
+    (tmp_path / "threads.py").write_text(THREADS_SCRIPT)
+    root = Path(__file__).resolve().parents[3]
+    environment = os.environ | {"NUMBA_NUM_THREADS": "2", "PYTHONPATH": str(root), "PYTHONWARNINGS": "ignore"}
+    command = [sys.executable, "threads.py"]
+    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.stdout.splitlines() == ["[1.0, 2.0, 1.0, 2.0, 1.0]", "refused"], done.stderr
 
 
 def compared(cache, processor):
