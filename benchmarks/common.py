@@ -58,7 +58,7 @@ def timed(calls: dict[str, Callable[[], object]], repeats: int, each: int) -> di
 
 
 class Cost(NamedTuple):
-    """What a program and those that it started used."""
+    """Costs of a program with those that it started."""
 
     processor_s: float
     clock_s: float
