@@ -22,6 +22,7 @@ from PIL import Image, ImageDraw
 
 from tg4mm.capture.frames import each_picture, picture, picture_header
 from tg4mm.capture.model import Capture
+from tg4mm.capture.planes import LUMA
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.core.pictures.decode import THREADS, decode
@@ -81,6 +82,8 @@ class ImageStack:
 
         Composited on display-referred values, as NeRF-synthetic's users do and as 3DGS's renderer blends.
         """
+        if background == WHITE:
+            return over_white(self.data[i], self.maximum)
         alpha = self.alpha(i)[..., None]
         colour = self.data[i, ..., :3] * np.float32(1 / self.maximum)
         return colour * alpha + np.asarray(background, np.float32) * (1 - alpha)
@@ -215,7 +218,7 @@ class FilePictures:
 
     def rgb(self, i: int) -> np.ndarray:
         """Return [H, W, 3] float32 in 0..1: picture i over white."""
-        return over_white(self.stored(i)[None], self.maximum)[0]
+        return over_white(self.stored(i), self.maximum)
 
     def alpha(self, i: int) -> np.ndarray:
         """Return [H, W] float32 coverage in 0..1 of picture i."""
@@ -267,15 +270,25 @@ class MaskedPictures:
 
 
 def over_white(raw: np.ndarray, maximum: int) -> np.ndarray:
-    """Return [S, H, W, 3] float32 in 0..1 of pictures [S, H, W, 4] as stored, blended as `ImageStack.rgb` does."""
+    """Return [..., H, W, 3] float32 in 0..1 of pictures [..., H, W, 4] as stored, blended as `ImageStack.rgb` does."""
     scale = np.float32(1 / maximum)
-    out = raw[..., :3] * scale
+    out = np.empty((*raw.shape[:-1], 3), np.float32)
+    for channel in range(3):  # less than half the time of all at once
+        np.multiply(raw[..., channel], scale, out=out[..., channel])
     alpha = raw[..., 3:]
     if alpha.min() < maximum:
         coverage = alpha * scale
         out *= coverage
         out += np.subtract(1, coverage, out=coverage)
     return out
+
+
+def grey_over_white(raw: np.ndarray, maximum: int) -> np.ndarray:
+    """Return [..., H, W] float32 grey levels, 0 to 255, of pictures [..., H, W, 4] as stored."""
+    is_opaque = raw[..., 3].min() == maximum
+    # then without a copy of the colours, in a sixth of the time
+    shown = np.multiply(raw, np.float32(1 / maximum))[..., :3] if is_opaque else over_white(raw, maximum)
+    return np.asarray(255 * (shown @ LUMA))
 
 
 def pictures_for(capture: Capture) -> ImageStack | FilePictures:

@@ -339,7 +339,7 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
         )
         say(f"no {video}: {why}")
         return
-    request = RenderRequest(shown.magnified).checked()
+    request = RenderRequest(shown.magnified, is_kept=options.all_files).checked()
     if options.band is not None:
         refuse_empty(run, request.magnified)
         for line in how_sure(run, request.magnified):

@@ -39,9 +39,9 @@ class RenderRequest:
     magnified: Magnification = AS_CAPTURED
     background: tuple[float, float, float] = WHITE
     slow: float = 1.0  # 2 = videos at half speed
-    low_pass_px2: float = (
-        0.3  # widening of drawn Gaussians, square pixels; less if a file's scales include some of it
-    )
+    # widening of drawn Gaussians, square pixels; less if a file's scales include some of it
+    low_pass_px2: float = 0.3
+    is_kept: bool = True  # not only the video: its pictures
 
     def checked(self) -> "RenderRequest":
         """Return itself. Raises RunError for an alpha or a speed out of range."""
@@ -161,7 +161,8 @@ def render_missing(
         update(done)
         for time, camera, path in todo:
             seen = pose(time, camera)
-            write_png(path, render_image(seen, *camera.view, request.background, request.low_pass_px2))
+            image = render_image(seen, *camera.view, request.background, request.low_pass_px2)
+            write_png(path, image, request.is_kept)
             done += 1
             update(done)
     return len(todo)

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import IO, Any
@@ -45,6 +45,8 @@ def loops_to_last(n_frames: int, fps: float, seconds: float) -> int:
 def even_size(image: np.ndarray) -> np.ndarray:
     """Return the picture [H, W, 3] with its last row or column repeated if a side is odd (yuv420p needs even)."""
     height, width = image.shape[:2]
+    if not (height % 2 or width % 2):
+        return image
     return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
 
 
@@ -143,6 +145,21 @@ def _errors(messages: IO[bytes]) -> str:
 
 def video_of_files(path: Path, pictures: Sequence[Path], fps: float, seconds: float = 4.0) -> None:
     """Write an mp4 of picture files in order, repeated to last at least `seconds`; small ones are enlarged."""
-    frames = [read_png(picture) for picture in pictures]
-    scale = max(1, math.ceil(256 / max(frames[0].shape[:2]))) if frames else 1
-    write_mp4(path, frames, fps, loops_to_last(len(frames), fps, seconds), scale)
+    if not pictures:
+        raise RunError(f"{path}: no frames to write")
+    check_rate(fps)
+    shape = read_png(pictures[0]).shape
+    height, width = (n + n % 2 for n in shape[:2])
+    every = [*pictures] * loops_to_last(len(pictures), fps, seconds)
+
+    def frames() -> Iterator[np.ndarray]:
+        for picture in every:
+            frame = read_png(picture)
+            if frame.shape != shape:
+                raise RunError(f"{path}: frames of different sizes {sorted({frame.shape, shape})}")
+            yield even_size(frame)
+
+    scale = max(1, math.ceil(256 / max(shape[:2])))
+    write_atomic(
+        path, lambda temporary: _encode(temporary, frames(), len(every), (width, height), fps, scale)
+    )

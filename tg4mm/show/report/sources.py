@@ -12,7 +12,7 @@ from tg4mm.capture.dataset_tree import magnified_alphas
 from tg4mm.core.choices import Clock
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.magnification import Magnification
-from tg4mm.core.pictures.decode import read_png, to_bytes
+from tg4mm.core.pictures.decode import bytes_over_white, read_png, to_bytes
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
@@ -229,7 +229,7 @@ def _rendered(pose: Pose, jobs: Sequence[tuple[float, Camera]], label: str) -> n
 
 def _pictures(capture: Capture, rows: np.ndarray) -> np.ndarray:
     images = load_images(capture.selected(np.asarray(rows)))
-    return np.stack([to_bytes(images.rgb(i)) for i in range(len(rows))])
+    return np.stack([bytes_over_white(images.stored(i)) for i in range(len(rows))])
 
 
 def _truth(dataset: Path, split: Capture, rows: list[int], alpha: float) -> tuple[np.ndarray | None, str]:
