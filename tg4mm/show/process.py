@@ -36,7 +36,7 @@ from tg4mm.show.render.cameras import Camera, capture_cameras, orbit
 from tg4mm.show.render.sequence import RECORD as RENDER_RECORD
 from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_sequence
 from tg4mm.show.render.sequence import record as record_of
-from tg4mm.show.report.sources import Shown
+from tg4mm.show.report.sources import Shown, shown_of
 from tg4mm.show.report.write import write_report
 from tg4mm.show.result.model import Length, Result, Vibration, amount, with_deviation
 from tg4mm.show.result.read import result_of
@@ -339,7 +339,9 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
         )
         say(f"no {video}: {why}")
         return
-    request = RenderRequest(shown.magnified, is_kept=options.all_files).checked()
+    capture = load_capture(run.dataset)
+    in_report = 0 if options.quick or options.only else shown_of(capture.n_timesteps, capture)
+    request = RenderRequest(shown.magnified, kept=None if options.all_files else in_report).checked()
     if options.band is not None:
         refuse_empty(run, request.magnified)
         for line in how_sure(run, request.magnified):
@@ -347,7 +349,7 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
     camera = _fixed_camera(run)
     if camera is None:
         centre = run.load_space().means.median(dim=0).values.numpy()
-        cameras, kind = list(orbit(load_capture(run.dataset), ORBIT, centre)), "orbit"
+        cameras, kind = list(orbit(capture, ORBIT, centre)), "orbit"
     else:
         if options.only and options.regions is not None:
             camera = camera.cut(options.regions[options.only].corners, _AROUND)

@@ -221,13 +221,10 @@ def png_bytes(image: np.ndarray) -> bytes:
     return buffer.getvalue()
 
 
-def write_png(path: Path, image: np.ndarray, is_kept: bool = True) -> None:
-    """Write a picture [H, W, 3] as `png_bytes` makes it, whole or not at all; makes the folder.
-
-    One that is not kept for long takes a fifth of the time and twice the bytes.
-    """
+def write_png(path: Path, image: np.ndarray) -> None:
+    """Write a picture as `png_bytes` makes it, whole or not at all; makes the folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    data = png_bytes(image) if is_kept else png.encode(to_bytes(image), 1, filtered=False)
+    data = png_bytes(image)
     write_atomic(path, lambda temporary: temporary.write_bytes(data))
 
 

@@ -92,6 +92,7 @@ def _encode(
     fps: float,
     scale: int = 1,
     quality: int = 17,
+    label: str = "video",
 ) -> None:
     """Encode to a file. Raises RunError unless the encoder ends well; only its exit status shows a full disk."""
     import imageio_ffmpeg
@@ -108,7 +109,7 @@ def _encode(
         f"file:{path}",
     ]
     with (
-        progress("video", count, "frames", brief=True) as update,
+        progress(label, count, "pictures", brief=label == "video") as update,
         tempfile.TemporaryFile() as messages,
         subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=messages, **_SEPARATE_GROUP
@@ -143,23 +144,38 @@ def _errors(messages: IO[bytes]) -> str:
     return lines[-1].partition("] ")[2] or lines[-1] if lines else ""
 
 
-def video_of_files(path: Path, pictures: Sequence[Path], fps: float, seconds: float = 4.0) -> None:
-    """Write an mp4 of picture files in order, repeated to last at least `seconds`; small ones are enlarged."""
-    if not pictures:
-        raise RunError(f"{path}: no frames to write")
-    check_rate(fps)
-    shape = read_png(pictures[0]).shape
-    height, width = (n + n % 2 for n in shape[:2])
-    every = [*pictures] * loops_to_last(len(pictures), fps, seconds)
+def video_of_files(path: Path, pictures: Sequence[Path], fps: float) -> None:
+    """Write an mp4 of picture files in order, as `video_of`."""
+    height, width = read_png(pictures[0]).shape[:2]
+    video_of(path, map(read_png, pictures), (width, height), len(pictures), fps)
 
-    def frames() -> Iterator[np.ndarray]:
-        for picture in every:
-            frame = read_png(picture)
-            if frame.shape != shape:
-                raise RunError(f"{path}: frames of different sizes {sorted({frame.shape, shape})}")
+
+def video_of(
+    path: Path,
+    pictures: Iterable[np.ndarray],
+    size: tuple[int, int],
+    count: int,
+    fps: float,
+    label: str = "video",
+    seconds: float = 4.0,
+) -> None:
+    """Write an mp4 of `count` pictures of one size (width, height), each encoded when it comes.
+
+    They are repeated to last at least `seconds`; small ones are enlarged.
+    """
+    check_rate(fps)
+    loops = loops_to_last(count, fps, seconds)
+    frames = pictures if loops == 1 else [*pictures] * loops
+    scale = max(1, math.ceil(256 / max(size)))
+    even = size[0] + size[0] % 2, size[1] + size[1] % 2
+
+    def prepared() -> Iterator[np.ndarray]:
+        for frame in frames:
+            if frame.shape[1::-1] != size:
+                raise RunError(f"{path}: frames of different sizes {sorted({frame.shape[1::-1], size})}")
             yield even_size(frame)
 
-    scale = max(1, math.ceil(256 / max(shape[:2])))
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(
-        path, lambda temporary: _encode(temporary, frames(), len(every), (width, height), fps, scale)
+        path, lambda temporary: _encode(temporary, prepared(), loops * count, even, fps, scale, label=label)
     )

@@ -169,7 +169,7 @@ def gather_view(
         return CameraVideos(camera, split.split, magnified, ours, recorded, None, n_frames=1)
     own = list(shots) if clock == Clock.moving else [shots[best]] * len(shots[best].rows)
     rows = [f.rows[0] for f in own] if clock == Clock.moving else shots[best].rows.tolist()
-    kept = _kept(len(rows), train)
+    kept = shown_of(len(rows), train)
     jobs = [(float(split.times_s[rows[i]]) * fps, Camera.of(own[i], size)) for i in range(kept)]
     jobs = [(t - jobs[0][0] if clock == Clock.independent else t, c) for t, c in jobs]
     found = None if there is None or shown is None else shown.pictures(shots[best].name, kept)
@@ -214,7 +214,8 @@ def _most_telling(train: Capture, model: Model, shots: Sequence[PosedFrames]) ->
     return int(some[int(np.argmax(seen))])
 
 
-def _kept(n: int, capture: Capture) -> int:
+def shown_of(n: int, capture: Capture) -> int:
+    """Return how many of n pictures a report's video has."""
     return max(1, min(n, MOST_FRAMES, _BYTES // (capture.width * capture.height * 3)))
 
 
