@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import load_capture
+from tg4mm.capture.pictures import read_once
 from tg4mm.capture.sfm.clip import Clip, Sources, clip_frames, find_sources
 from tg4mm.capture.sfm.config import SCENE_ONLY, SfmConfig, checked, files_of
 from tg4mm.capture.sfm.reconstruct import reconstruct
@@ -162,7 +163,7 @@ def process(source: Path, out: Path, options: ProcessOptions | None = None, say:
     with folder.locked("processes into it"):
         folder.claim(record, {**record, "done": {}})
         say(estimate_line(sources, options.sfm))
-        with few_lines():
+        with few_lines(), read_once():
             run_steps(folder, record, _steps(source, out, options, pictures, say), say)
         if not options.all_files:
             _remove_pictures(out / "magnified")

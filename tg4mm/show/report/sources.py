@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.dataset_tree import magnified_alphas
+from tg4mm.capture.pictures import some_pictures
 from tg4mm.core.choices import Clock
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.magnification import Magnification
@@ -229,7 +230,7 @@ def _rendered(pose: Pose, jobs: Sequence[tuple[float, Camera]], label: str) -> n
 
 
 def _pictures(capture: Capture, rows: np.ndarray) -> np.ndarray:
-    images = load_images(capture.selected(np.asarray(rows)))
+    images = some_pictures(capture, np.asarray(rows))
     return np.stack([bytes_over_white(images.stored(i)) for i in range(len(rows))])
 
 
