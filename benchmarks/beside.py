@@ -3,11 +3,12 @@
     python -m benchmarks beside [--turns 3] [--fresh] OTHER -- process film.mp4 --out OUT
 
 OTHER is a checkout from before a change, such as `git worktree add` makes. `python -m tg4mm` runs there and here in
-turn; the word OUT stands for a folder that each call gets anew, and is removed. The first turn, which compiles kernels
+turn; OUT (or OUT.png) stands for a path that each call gets anew, removed later. The first turn, which compiles kernels
 and fills the system's caches, does not count, unless --fresh: then kernels are compiled anew in every call.
 """
 
 import os
+import re
 import statistics
 import sys
 import tempfile
@@ -48,9 +49,10 @@ def run(options: Any) -> None:
 def called(checkout: Path, words: Sequence[str], is_fresh: bool) -> Cost:
     """Return the cost of one call in a folder of its own; a relative path is one from here."""
     with tempfile.TemporaryDirectory() as folder:
-        out = {"OUT": str(Path(folder) / "out")}
-        own = {"PYTHONPATH": str(checkout)} | ({"NUMBA_CACHE_DIR": folder} if is_fresh else {})
-        command = [sys.executable, "-P", "-m", "tg4mm", *(out.get(word, word) for word in words)]
+        made, own = str(Path(folder) / "out"), {"PYTHONPATH": str(checkout)}
+        own |= {"NUMBA_CACHE_DIR": folder} if is_fresh else {}
+        shown = [re.sub(r"^OUT\b", lambda _: made, word) for word in words]
+        command = [sys.executable, "-P", "-m", "tg4mm", *shown]
         return cost(command, {**os.environ, **own})
 
 
