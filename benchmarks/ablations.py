@@ -72,7 +72,7 @@ ABLATIONS: dict[str, tuple[Row, ...]] = {
     "amplitude": tuple(
         Row(
             f"{px:g} px",
-            data=f"--amplitude-px {px:g} --alphas {','.join(f'{t / px:.0f}' for t in (1, 2, 4, 8))}",
+            data=f"--amplitude-px {px:g} --alphas " + ",".join(f"{t / px:.0f}" for t in (1, 2, 4, 8)),
         )
         for px in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
     ),

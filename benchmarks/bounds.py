@@ -73,9 +73,7 @@ class BoundedRun:
         size = (capture.width, capture.height)
         views = [view_jacobian(gaussians, f, size) for f in frames]
         courses, fields = _courses(exact, weights, capture.n_timesteps)
-        pictures = np.stack(
-            [[images.rgb(int(r), background=(1.0, 1.0, 1.0)) for r in f.rows] for f in frames]
-        ).astype(np.float32)
+        pictures = np.array([[images.rgb(int(r)) for r in f.rows] for f in frames], np.float32)
         return BoundedRun(gaussians, weights, exact, views, fields, _noise(pictures, courses))
 
 

@@ -1,15 +1,18 @@
-"""Parts that the benchmarks share: the machine's description, times of calls, a table of found and true values."""
+"""Parts that the benchmarks share: the machine, costs of calls and of programs, a table of found and true values."""
 
 import os
 import platform
-import statistics
+import subprocess
+import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numba
 import torch
+
+from tg4mm.core.errors import Tg4mmError
 
 
 def machine() -> str:
@@ -34,33 +37,44 @@ class Times(NamedTuple):
     clock: list[float]
     processor: list[float]
 
-    @property
-    def median(self) -> float:
-        return statistics.median(self.clock)
 
-    @property
-    def least(self) -> float:
-        return min(self.clock)
+def timed(calls: dict[str, Callable[[], object]], repeats: int, each: int) -> dict[str, Times]:
+    """Times of every call: `each` of one, then of the next, round after round.
 
-
-def timed(calls: dict[str, Callable[[], object]], repeats: int, each: int = 1) -> dict[str, Times]:
-    """Times of every call: `each` of one, then of the next, round after round, after one that is not counted.
-
-    What slows the machine down for a while falls to all of them. With `each` above 1 every turn begins with a call that
-    is not counted: it fetches what the one before has driven out of the caches.
+    What slows the machine down for a while falls to all of them. Every turn begins with a call that is not counted: it
+    fetches what the one before has driven out of the caches.
     """
     rounds = -(-repeats // each)
     times = {name: Times([], []) for name in calls}
     for n in range(rounds):
         for name, call in calls.items():
-            if each > 1 or not n:
-                call()
+            call()
             for _ in range(repeats * n // rounds, repeats * (n + 1) // rounds):
                 clock, processor = time.perf_counter(), time.process_time()
                 call()
                 times[name].clock.append((time.perf_counter() - clock) * 1e3)
                 times[name].processor.append((time.process_time() - processor) * 1e3)
     return times
+
+
+class Cost(NamedTuple):
+    """Costs of a program with those that it started."""
+
+    processor_s: float
+    clock_s: float
+    gib: float  # at most, of one process
+
+
+def cost(words: Sequence[str], environment: Mapping[str, str] | None = None) -> Cost:
+    """Run a program. Raises Tg4mmError with its last words where it fails."""
+    began = time.monotonic()
+    with tempfile.TemporaryFile() as output:
+        process = subprocess.Popen(words, stdout=output, stderr=output, env=environment)
+        _, process.returncode, used = os.wait4(process.pid, 0)
+        if process.returncode:
+            output.seek(0)
+            raise Tg4mmError(f"{' '.join(words)}: {output.read().decode(errors='replace')[-2000:]}")
+    return Cost(used.ru_utime + used.ru_stime, time.monotonic() - began, used.ru_maxrss / 2**20)
 
 
 def print_found(rows: Sequence[tuple[str, float, float, float]]) -> None:

@@ -173,8 +173,6 @@ def figures_of(results: Mapping[str, Any]) -> dict[str, Any]:
 
     {scenes: {name: {key: figure}}, ssim: {row: {α: mean}}, of `modal`.
     """
-    from tg4mm.research.bench.means import scalars
-
     runs = {run["set"].partition("_")[0]: scalars(run) for run in results["runs"] if run["row"] == "modal"}
     means = {m["row"]: m["alphas"] for m in results["line_means"] if m["row"] in _ROWS}
     return {

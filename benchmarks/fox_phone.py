@@ -49,7 +49,7 @@ PHASE_RAD = (0.0, 1.0)  # of the two sines at t = 0
 MOVES, STILL = (
     0.5,
     0.02,
-)  # of the largest true phasor: above the one something moves, below the other it stands still
+)  # of the largest true phasor: above the one things move, below the other they stand still
 FOUND_HZ = 0.03  # a mode this near to a true frequency is that frequency
 FALSE_PEAK = 0.1  # of the weaker true peak: from there on a mode elsewhere is a false peak
 # x, y, radius in pixels of the tripod's view: the nose, the picture frame's lower edge, wallpaper that stands still

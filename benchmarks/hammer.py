@@ -75,18 +75,15 @@ def run(options: Any) -> None:
         for k, hz in enumerate(frequencies()):
             near = [m for m in method.modes if abs(m.frequency_hz.value - hz) < 0.05 * hz]
             for m in near[:1]:
-                rows.append(
-                    (f"{method.method} {k + 1}, Hz", m.frequency_hz.value, m.frequency_hz.deviation, hz)
-                )
-                rows.append((f"{method.method} {k + 1}, ζ", m.damping.value, m.damping.deviation, DAMPING[k]))
+                pairs = ("Hz", m.frequency_hz, hz), ("ζ", m.damping, DAMPING[k])
+                name = f"{method.method} {k + 1}"
+                rows += [(f"{name}, {unit}", x.value, x.deviation, true) for unit, x, true in pairs]
     t0 = found["transfers"][0]
     for hz in (10.0, 40.0):
         k = int(np.abs(t0.freqs_hz - hz).argmin())
         s = 2j * np.pi * t0.freqs_hz[k]
-        true = 1000 * abs(
-            sum(phi[0, r] ** 2 / (s**2 + 2 * DAMPING[r] * w[r] * s + w[r] ** 2) for r in range(3))
-        )
-        rows.append((f"|H1| at {t0.freqs_hz[k]:g} Hz, mm/N", abs(t0.h1[k]), t0.deviation[k], float(true)))
+        true = 1000 * float(abs((phi[0] ** 2 / (s**2 + 2 * DAMPING * w * s + w**2)).sum()))
+        rows.append((f"|H1| at {t0.freqs_hz[k]:g} Hz, mm/N", abs(t0.h1[k]), t0.deviation[k], true))
     print_found(rows)
 
 

@@ -5,20 +5,16 @@ of 8 Mbit/s at 1920×1080 and in proportion at others.
 """
 
 import json
-import os
 import re
 import shutil
-import subprocess
 import sys
-import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.calibration.film import Coding, Film, FilmMode, Layer, texture, write_video
-from benchmarks.common import machine
+from benchmarks.common import cost, machine
 from tg4mm.capture import load_capture
 from tg4mm.fit.motion.animate import animate
 from tg4mm.run import Run
@@ -56,11 +52,10 @@ def run(options: Any) -> None:
             "train": ["train", folder / "set", "--out", folder / "run"],
         }
         for name, words in steps.items():
-            cost = _cost([sys.executable, "-m", "tg4mm", *map(str, words)])
-            print(
-                f"| {size} | {name} | {cost} | {_found(folder / 'run') if name == 'train' else ''} |",
-                flush=True,
-            )
+            used = cost([sys.executable, "-m", "tg4mm", *map(str, words)])
+            cells = f"{used.processor_s:.0f} | {used.clock_s:.0f} | {used.gib:.1f}"
+            found = _found(folder / "run") if name == "train" else ""
+            print(f"| {size} | {name} | {cells} | {found} |", flush=True)
 
 
 def _make(video: Path, width: int, height: int, pictures: int) -> None:
@@ -72,19 +67,6 @@ def _make(video: Path, width: int, height: int, pictures: int) -> None:
     layers = [Layer(cloths[0], None, [], 0.6), Layer(cloths[1], plate, [sway], 0.6)]
     film = Film(layers, FPS, pictures, 1.5)
     write_video(video, film.pictures(), FPS, Coding("libx264", int(BITS * width * height / FULL_HD)))
-
-
-def _cost(words: list[str]) -> str:
-    """Run a program; return processor seconds, seconds of time and most GiB as cells of a table."""
-    began = time.monotonic()
-    with tempfile.TemporaryFile() as output:
-        process = subprocess.Popen(words, stdout=output, stderr=output)
-        _, status, used = os.wait4(process.pid, 0)
-        if status:
-            output.seek(0)
-            raise SystemExit(output.read().decode(errors="replace")[-2000:])
-    seconds = used.ru_utime + used.ru_stime
-    return f"{seconds:.0f} | {time.monotonic() - began:.0f} | {used.ru_maxrss / 2**20:.1f}"
 
 
 def _found(path: Path) -> str:

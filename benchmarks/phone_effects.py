@@ -166,10 +166,8 @@ def _printed(*words: object) -> str:
 def run(options: Any) -> None:
     """Print a table."""
     known = effects(np.random.default_rng(0))
-    print(
-        "| effect | by | named | frequency: errors in ± | amplitude of the truth | errors in ± | false | named |"
-    )
-    print("|---|---|---:|---|---|---|---:|---:|")
+    titles = "effect | by | named | frequency: errors in ± | amplitude/truth | errors in ± | false | named"
+    print(f"| {titles} |\n|---|---|---:|---|---|---|---:|---:|")
     for name in options.effects or known:
         seeds = range(options.first, options.first + options.seeds)
         films = [film_of(name, seed, options.out) for seed in seeds]

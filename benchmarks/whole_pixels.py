@@ -64,15 +64,10 @@ def modes(run: Run, k: int) -> str:
     at = means @ viewmat[:3, :3].T + viewmat[:3, 3]
     own = np.hypot(*(at[:, :2] / at[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2] - _CENTRES[k]).T) < _RADIUS
     rows = pixel_rows(means[own], viewmat, K, (WIDTH, HEIGHT))[0]
-    motion = replace(
-        fit.motion,
-        displacement=fit.motion.displacement[:, own],
-        rotation=fit.motion.rotation[:, own],
-        appearance=None,
-    )
-    found = np.stack(
-        [np.einsum("nij,nj->ni", rows, displacement_at(motion, float(t))) for t in range(FRAMES)]
-    )
+    m = fit.motion
+    motion = replace(m, displacement=m.displacement[:, own], rotation=m.rotation[:, own], appearance=None)
+    at_times = (displacement_at(motion, float(t)) for t in range(FRAMES))
+    found = np.stack([np.einsum("nij,nj->ni", rows, moved) for moved in at_times])
     true = moves(k, np.arange(FRAMES) / FPS)
     found, true = found - found.mean(0), (true - true.mean(0))[:, None]
     power = float((true**2).sum())

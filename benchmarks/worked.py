@@ -38,11 +38,8 @@ def pump() -> tuple[Film, Regions, dict[str, list[tuple[float, float]]]]:
     )
     regions = (Region("bearing", "box", (112, 64, 208, 144)), Region("base", "box", (0, 168, 320, 192)))
     scale = Scale((((96.0, 48.0), (224.0, 48.0), 0.064),))
-    return (
-        film,
-        Regions((WIDTH, HEIGHT), regions, scale),
-        {"bearing": [(24.2, 0.08), (87.1, 0.015)], "base": []},
-    )
+    truth = {"bearing": [(24.2, 0.08), (87.1, 0.015)], "base": []}
+    return film, Regions((WIDTH, HEIGHT), regions, scale), truth
 
 
 def bridge() -> tuple[Film, Regions, dict[str, list[tuple[float, float]]]]:
@@ -61,9 +58,8 @@ def bridge() -> tuple[Film, Regions, dict[str, list[tuple[float, float]]]]:
 
     sky, deck = (texture(HEIGHT, WIDTH, rng, 0.35, 0.4, (1.5, 4.0)) for _ in range(2))
     modes = [FilmMode(shapes[0], _cosine(2.05, 0.4)), FilmMode(shapes[1], decays)]
-    film = Film(
-        [Layer(sky, None, [], 0.6), Layer(deck, (20, 80, 300, 128), modes, 0.6)], 30, 600, 2.0, seed=2
-    )
+    layers = [Layer(sky, None, [], 0.6), Layer(deck, (20, 80, 300, 128), modes, 0.6)]
+    film = Film(layers, 30, 600, 2.0, seed=2)
     regions, truth = [], {}
     for name, x in (("quarter", 90), ("middle", 160)):
         regions.append(Region(name, "box", (x - 16, 88, x + 16, 120)))
@@ -92,9 +88,8 @@ def run(options: Any) -> None:
             squares = 0.0
             for hz, mm in truth[one.region.name]:
                 line = min(one.lines, key=lambda each, hz=hz: abs(each.hz - hz))
-                size = 1e3 * float(
-                    np.linalg.norm(regions.scale.metres_at(one.region.centre) @ line.direction)
-                )
+                moves = regions.scale.metres_at(one.region.centre) @ line.direction
+                size = 1e3 * float(np.linalg.norm(moves))
                 sure = float(np.hypot(line.amplitude_deviation_px, regions.scale.share * line.amplitude_px))
                 squares += (2 * np.pi * line.hz * size * line.amplitude_px) ** 2 / 2
                 rows.append((f"{name} {one.region.name}, Hz", line.hz, line.hz_deviation, hz))
@@ -103,9 +98,8 @@ def run(options: Any) -> None:
                     rows.append((f"{name} {one.region.name}, ζ", line.damping, line.damping_deviation, 0.008))
             if name == "pump" and truth[one.region.name]:
                 zone = "ABCD"[int(np.searchsorted(LIMITS["II"], squares**0.5))]
-                print(
-                    f"{one.region.name}: {squares**0.5:.2f} mm/s rms up to 120 Hz: zone {zone} of class II, or worse"
-                )
+                speed = f"{squares**0.5:.2f} mm/s rms up to 120 Hz"
+                print(f"{one.region.name}: {speed}: zone {zone} of class II, or worse")
             if not truth[one.region.name]:
                 print(f"{one.region.name}: {len(one.lines)} lines; true are 0")
         print("\n".join(LookText(found, video, drawn=regions, drawn_file=file).lines()))

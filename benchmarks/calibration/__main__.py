@@ -25,7 +25,9 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+from benchmarks.__main__ import add
 from benchmarks.calibration import stages
 from benchmarks.calibration.draw import FilmTruth, make_film
 from benchmarks.calibration.duplicates import duplicates_outcome, duplicates_table
@@ -34,19 +36,20 @@ from benchmarks.calibration.photographs import make_photograph_film
 from benchmarks.calibration.score import Score, compared, table
 from benchmarks.calibration.special import make_large_film, make_plain_film
 
+Maker = Callable[[int, Path], FilmTruth]
+OPTIONS: dict[str, Any] = {"folder": Path, "--films": 60, "--first": 0, "--jobs": 2}
+OPTIONS |= {"--python": sys.executable, "--photographs": Path}
+OPTIONS |= dict.fromkeys(("--kinds", "--plain", "--large", "--real", "--duplicates"), False)
 STAGES: dict[str, Callable[..., dict[str, Score]]] = {
     "look": stages.look_stage,
     "whole": stages.whole_stage,
     "baselines": stages.baselines_stage,
 }
+OPTIONS["--stages"] = {"nargs": "+", "choices": list(STAGES), "default": ["look"]}
 
 
 def scored(
-    seed: int,
-    folder: Path,
-    wanted: tuple[str, ...],
-    python: str,
-    make: Callable[[int, Path], FilmTruth] = make_film,
+    seed: int, folder: Path, wanted: tuple[str, ...], python: str, make: Maker = make_film
 ) -> dict[str, Score]:
     """A film's scores by method; made where they are not there."""
     truth = make(seed, folder)
@@ -72,21 +75,8 @@ def _kept(file: Path, run: Callable[[], dict[str, Score]]) -> dict[str, Score]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.calibration", description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--films", type=int, default=60)
-    parser.add_argument("--first", type=int, default=0, help="seed of the first film")
-    parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument("--stages", nargs="+", choices=list(STAGES), default=["look"])
-    parser.add_argument("--python", default=sys.executable, help="a Python that has pyidi, for `baselines`")
-    parser.add_argument("--kinds", action="store_true", help="sets of our generator, instead of films")
-    parser.add_argument("--plain", action="store_true", help="still films with a plain wall, of `look` alone")
-    parser.add_argument("--large", action="store_true", help="films of plates that move by whole pixels")
-    parser.add_argument("--duplicates", action="store_true", help="films with and without duplicate frames")
-    parser.add_argument(
-        "--photographs", type=Path, help="a folder of photographs that some of these films show"
-    )
-    parser.add_argument("--real", action="store_true", help="films made of photographs that scikit-image has")
+    parser = argparse.ArgumentParser("python -m benchmarks.calibration", description=__doc__)
+    add(parser, OPTIONS)
     given = parser.parse_args(arguments)
     if given.duplicates:
         made = partial(duplicates_outcome, folder=given.folder, photographs=given.photographs)

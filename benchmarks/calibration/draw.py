@@ -7,17 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.calibration.film import (
-    Coding,
-    Film,
-    FilmMode,
-    Layer,
-    Motion,
-    Painter,
-    Region,
-    texture,
-    write_video,
-)
+from benchmarks.calibration.film import Coding, Film, FilmMode, Layer, Motion, Region, texture, write_video
+from tg4mm.core.files import write_json
 
 SIZES = ((320, 180), (256, 144), (288, 160), (180, 320))
 RATES = (24, 25, 30, 30, 50, 60, 120)
@@ -82,14 +73,15 @@ class FilmTruth:
         return self.frames / self.fps
 
 
+DrawnFilm = tuple[np.ndarray, Coding, FilmTruth]
+
+
 def make_film(seed: int, folder: Path) -> FilmTruth:
     """Draw and write one film, as `Draw`."""
     return kept_film(seed, folder, Draw(seed).film)
 
 
-def kept_film(
-    seed: int, folder: Path, drawn: Callable[[], tuple[np.ndarray, Coding, FilmTruth]]
-) -> FilmTruth:
+def kept_film(seed: int, folder: Path, drawn: Callable[[], DrawnFilm]) -> FilmTruth:
     """folder/SEED.mp4 and SEED.json; those there are kept."""
     video, notes = folder / f"{seed:04d}.mp4", folder / f"{seed:04d}.json"
     if video.exists() and notes.exists():
@@ -97,9 +89,7 @@ def kept_film(
     folder.mkdir(parents=True, exist_ok=True)
     pictures, coding, truth = drawn()
     write_video(video, pictures, truth.fps, coding)
-    unfinished = notes.with_suffix(".part")
-    unfinished.write_text(json.dumps(asdict(truth), indent=1))
-    unfinished.replace(notes)
+    write_json(notes, asdict(truth))
     return truth
 
 
@@ -128,12 +118,11 @@ class Draw:
         bits = float(np.exp(rng.uniform(np.log(0.08), np.log(3))))
         per_second = int(bits * self.width * self.height * self.fps)
         self.coding = Coding(codec, per_second, [None, 30, 12][rng.integers(3)])
-        self.truth = FilmTruth(
-            self.width, self.height, self.fps, self.frames, float(rng.uniform(2, 8)), codec, bits
-        )
-        self.painters: list[Painter] = []
+        noise = float(rng.uniform(2, 8))
+        self.truth = FilmTruth(self.width, self.height, self.fps, self.frames, noise, codec, bits)
+        self.painters: list[Callable[[np.ndarray, float, int], np.ndarray]] = []
 
-    def film(self) -> tuple[np.ndarray, Coding, FilmTruth]:
+    def film(self) -> DrawnFilm:
         rng = self.rng
         layers = [Layer(self.surface(), None, [], self.blur)]
         layers += [Layer(self.surface(), self.box(), [], self.blur) for _ in range(rng.integers(0, 3))]
@@ -162,10 +151,8 @@ class Draw:
 
     def _is_free(self, box: Region, gap: int) -> bool:
         regions = {v.region for v in self.truth.vibrations}
-        return all(
-            box[2] + gap < r[0] or box[0] - gap > r[2] or box[3] + gap < r[1] or box[1] - gap > r[3]
-            for r in regions
-        )
+        left, upper, right, lower = box[0] - gap, box[1] - gap, box[2] + gap, box[3] + gap
+        return all(right < r[0] or left > r[2] or lower < r[1] or upper > r[3] for r in regions)
 
     def _free_box(self, gap: int = 0) -> Region | None:
         boxes = (self.box() for _ in range(_TRIES))

@@ -69,10 +69,7 @@ def found_in(video: Path) -> Duplicates | None:
 
 def duplicates_table(outcomes: list[Outcome]) -> str:
     """A row for each kind of films."""
-    rows = [
-        "| films | number | with duplicates found | frames found | new pictures lost |",
-        "|---|---|---|---|---|",
-    ]
+    rows = ["| films | number | with duplicates found | frames found | new pictures lost |\n|-|-|-|-|-|"]
     for kind in dict.fromkeys(KINDS):
         for name, chosen in ((kind, False), (f"{kind}, noise ≥ 3 and crf ≤ 20", True)):
             own = [one for one in outcomes if one.kind == kind and one.is_clear >= chosen]

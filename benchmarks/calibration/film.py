@@ -52,7 +52,7 @@ class Layer:
         self._covered = [texture[fine] * mask[fine], mask[fine]]  # light, then opacity
         self._blur, self.modes = blur_px, list(modes)
         self._terms: list[tuple[int, int, np.ndarray]] | None = None
-        self.rest = np.stack([_down(self._derivative(a, 0, 0)) for a in self._covered])
+        self.rest = np.stack([area_means(self._derivative(a, 0, 0)) for a in self._covered])
 
     def _derivative(self, picture: np.ndarray, across: int, along: int) -> np.ndarray:
         """Return the derivative of a blurred fine picture, in pixels."""
@@ -68,7 +68,7 @@ class Layer:
         for n in range(ORDER + 1):
             for i in range(n + 1):
                 weight = (-1) ** n / (factorial(i) * factorial(n - i))
-                fields = [_down(self._derivative(a, i, n - i)) * weight for a in self._covered]
+                fields = [area_means(self._derivative(a, i, n - i)) * weight for a in self._covered]
                 terms.append((i, n - i, np.stack(fields).astype(np.float32)))
         return terms
 
@@ -88,9 +88,10 @@ class Layer:
         )
 
 
-def _down(fine: np.ndarray) -> np.ndarray:
-    h, w = (n // FINE for n in fine.shape)
-    return np.asarray(fine.reshape(h, FINE, w, FINE).mean((1, 3)))
+def area_means(fine: np.ndarray, by: int = FINE) -> np.ndarray:
+    """Means of squares of `by` fine pixels."""
+    h, w = (n // by for n in fine.shape)
+    return np.asarray(fine.reshape(h, by, w, by).mean((1, 3)))
 
 
 def texture(
@@ -137,7 +138,7 @@ def sliding(surface: np.ndarray, centre: tuple[int, int], motion: Callable[[floa
     def paint(picture: np.ndarray, time_s: float, number: int) -> np.ndarray:
         x, y = FINE * motion(time_s)
         moved = np.fft.irfft2(spectrum * np.exp(-2j * np.pi * (right * x + down * y)), surface.shape)
-        picture[box] += window * (_down(moved) - picture[box])
+        picture[box] += window * (area_means(moved) - picture[box])
         return picture
 
     return paint

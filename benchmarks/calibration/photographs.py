@@ -16,7 +16,7 @@ from PIL import Image, ImageOps
 from scipy import ndimage
 
 from benchmarks.calibration.draw import Draw, FilmTruth, TrueVibration, kept_film
-from benchmarks.calibration.film import Coding, Region
+from benchmarks.calibration.film import Coding, Region, area_means
 
 NAMES = (
     *("astronaut.png", "camera.png", "coffee.png", "grass.png", "motorcycle_left.png", "moon.png"),
@@ -67,17 +67,14 @@ def _film(number: int) -> tuple[np.ndarray, FilmTruth]:
     parts = []
     for left in (6, width // 2 + 6):
         w, h = int(rng.integers(36, 88)), int(rng.integers(40, 110))
-        x, y = (
-            left + int(rng.integers(0, width // 2 - 12 - w + 1)),
-            int(rng.integers(6, height - 6 - h + 1)),
-        )
+        x, y = left + int(rng.integers(0, width // 2 - 11 - w)), int(rng.integers(6, height - 5 - h))
         is_body = bool(rng.random() < 0.5)
         vibration = _vibration(draw, (x, y, x + w, y + h), is_body and bool(rng.random() < 0.5))
         draw.truth.vibrations.append(vibration)
         parts.append(_part(vibration, other if is_body else behind, is_body, float(rng.uniform(10, 24))))
     light = draw.light()
     noise = float(rng.uniform(*_NOISE))
-    rest = _down(behind)
+    rest = area_means(behind, _FINE)
     shown = np.empty((frames, height, width), np.uint8)
     for k in range(frames):
         picture, t = rest.copy(), k / draw.fps
@@ -142,15 +139,12 @@ def _paint(picture: np.ndarray, part: _Part, time_s: float) -> None:
         share = ndimage.map_coordinates(part.share, [y - down, x - right], order=1, mode="nearest")
         right, down = motion[0] * share, motion[1] * share
     at = [(y - down + 0.5) * _FINE - 0.5, (x - right + 0.5) * _FINE - 0.5]
-    shown = _down(ndimage.map_coordinates(part.light, at, order=3, prefilter=False, mode="mirror"))
+    shown = _seen(part.light, at)
     if part.opacity is not None:
-        opacity = np.clip(
-            _down(ndimage.map_coordinates(part.opacity, at, order=3, prefilter=False, mode="mirror")), 0, 1
-        )
+        opacity = np.clip(_seen(part.opacity, at), 0, 1)
         shown = picture[part.box] * (1 - opacity) + shown * opacity
     picture[part.box] = shown
 
 
-def _down(fine: np.ndarray) -> np.ndarray:
-    h, w = (n // _FINE for n in fine.shape)
-    return np.asarray(fine.reshape(h, _FINE, w, _FINE).mean((1, 3)))
+def _seen(spline: np.ndarray, at: list[np.ndarray]) -> np.ndarray:
+    return area_means(ndimage.map_coordinates(spline, at, order=3, prefilter=False, mode="mirror"), _FINE)

@@ -36,16 +36,12 @@ class Score:
     amplitudes: list[float] = field(default_factory=list)
     dampings: list[float] = field(default_factory=list)
     samples: list[float] = field(default_factory=list)
-    errors: list[float] = field(
-        default_factory=list
-    )  # px, rms of each vibrating region's series, right, down
+    errors: list[float] = field(default_factory=list)  # px, rms of regions' series, right, down
     false: list[str] = field(default_factory=list)
     marked: int = 0  # false lines that were marked
     ratios: list[float] = field(default_factory=list)  # amplitudes, found over true
     bounds: list[float] = field(default_factory=list)  # like amplitudes, of those marked as too small
-    found: list[tuple[float, bool]] = field(
-        default_factory=list
-    )  # true amplitude, px, and whether it was named
+    found: list[tuple[float, bool]] = field(default_factory=list)  # true amplitude, px; was it named?
     strongest_px: float | None = None
     strongest_named: bool = False
     is_still: bool = False

@@ -4,6 +4,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from PIL import Image
@@ -14,6 +15,7 @@ from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.convert import write_nerfstudio
 from tg4mm.capture.frames import each_picture
 from tg4mm.capture.pictures import FilePictures
+from tg4mm.capture.planes import colours, opaque
 from tg4mm.capture.sfm.clip import Clip, TimeWindow
 from tg4mm.capture.sfm.dataset import Track, video_frames_of
 from tg4mm.capture.sfm.reconstruct import reconstruct
@@ -103,3 +105,14 @@ def test_a_video_that_was_cut_off_is_refused(dataset, tmp_path):
     own.write_bytes(whole[: len(whole) * 2 // 3])
     with pytest.raises(CaptureError, match=r"a#3\.mp4"):
         load_images(load_capture(tmp_path / "d"))
+
+
+@pytest.mark.parametrize("kind", ["yuv420p", "yuvj420p", "yuv444p", "yuv420p10le", "yuva420p", "gray"])
+@pytest.mark.parametrize("size", [(48, 64), (50, 66), (18, 34), (75, 101), (80, 640), (30, 1920), (77, 112)])
+def test_a_frame_is_opaque_and_has_its_colours(kind, size):
+    """For every width: in columns beside whole blocks FFmpeg's own RGBA has any values."""
+    picture = np.random.default_rng(0).integers(0, 256, (*size, 3), dtype=np.uint8)
+    frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format=kind)
+    found = opaque(frame)
+    np.testing.assert_array_equal(found[..., :3], colours(frame))
+    assert (found[..., 3] == 255).all()

@@ -9,7 +9,16 @@ from PIL import Image
 from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import components
 from tg4mm.capture import load_images
-from tg4mm.capture.pictures import FilePictures, MaskedPictures
+from tg4mm.capture.pictures import (
+    FilePictures,
+    MaskedPictures,
+    grey_over_white,
+    over_white,
+    pictures_for,
+    read_once,
+    some_pictures,
+)
+from tg4mm.capture.planes import LUMA
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.png import encode
 from tg4mm.fit.motion.observations import observe
@@ -83,3 +92,37 @@ def test_what_is_masked_stays_as_in_the_first_picture(capture):
         assert (out(rows)[:, mask[rows]] == plain.strips([0])(rows)[0][mask[rows]]).all()
         assert (out(rows)[:, ~mask[rows]] == raw(rows)[:, ~mask[rows]]).all()
     assert not (raw(slice(None))[1][mask] == out(slice(None))[1][mask]).all()
+
+
+def test_steps_that_follow_one_another_read_a_capture_once(capture, monkeypatch):
+    read, rows = [], np.array([7, 2])
+    monkeypatch.setattr(
+        "tg4mm.capture.pictures.load_images", lambda own: read.append(len(own)) or load_images(own)
+    )
+    wanted = load_images(capture).data
+    with read_once():
+        assert pictures_for(capture) is pictures_for(replace(capture))
+        np.testing.assert_array_equal(some_pictures(capture, rows).data, wanted[rows])
+        assert read == [10]
+        with_one_of_16_bits(capture)
+        assert pictures_for(capture).data.dtype == np.uint16
+        pictures_for(replace(capture, paths=capture.paths[::-1]))
+        assert read == [10] * 3
+    np.testing.assert_array_equal(some_pictures(capture, rows).data, wanted[rows])
+    assert pictures_for(capture) is not pictures_for(capture)
+    assert read == [10, 10, 10, 2, 10, 10]
+
+
+@pytest.mark.parametrize("is_opaque", [True, False])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_colours_and_grey_over_white(is_opaque, dtype):
+    """As the formula says, in double precision: to a part in a million of white."""
+    most = np.iinfo(dtype).max
+    raw = np.random.default_rng(0).integers(0, most + 1, (2, 3, *SIZE, 4)).astype(dtype)
+    raw[..., 3] = most if is_opaque else raw[..., 3]
+    alpha = raw[..., 3:] / most
+    wanted = raw[..., :3] / most * alpha + 1 - alpha
+    shown, grey = over_white(raw[:, :, 1:], most), grey_over_white(raw[:, :, 1:], most)
+    assert (shown.dtype, grey.dtype) == (np.float32, np.float32)
+    np.testing.assert_allclose(shown, wanted[:, :, 1:], atol=1e-6)
+    np.testing.assert_allclose(grey, 255 * wanted[:, :, 1:] @ LUMA.astype(float), atol=255e-6)

@@ -18,9 +18,8 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
-from tg4mm.capture.planes import colours, upright
+from tg4mm.capture.planes import opaque, upright
 from tg4mm.capture.video import VIDEO_SUFFIXES, av_module, opened, silent, stream_of
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.decode import THREADS, ImageHeader, decode, image_header
@@ -182,10 +181,7 @@ class _Reader:
         for frame in self.frames:
             self.at = self.number.get(frame.pts, -1)
             if self.at == number:
-                pixels = upright(frame, colours(frame))
-                if pixels.dtype == np.uint8:
-                    pixels = np.asarray(Image.fromarray(pixels).convert("RGBA"))
-                self.last = pixels
+                self.last = upright(frame, opaque(frame))
             if self.at >= number:
                 return self.at == number
         return False

@@ -1,6 +1,7 @@
 """The commands put together, and the exit codes: 1 a fault of the program, 2 bad input, 130 interrupted."""
 
 import contextlib
+import ctypes
 import io
 import logging
 import os
@@ -25,6 +26,7 @@ from tg4mm.run.options import LIST_SETTINGS, TrainOptions
 from tg4mm.show import options as show
 
 BAD_INPUT, INTERRUPTED = 2, 130
+_TRIM_THRESHOLD, _MMAP_THRESHOLD, _KEPT = -1, -3, 1 << 30  # of mallopt(3); bytes
 ABOUT = """3D motion magnification: shows and measures subtle vibration, from any viewpoint.
 
 look finds in seconds what vibrates in a video. process does everything with one, in one folder; its steps are
@@ -64,6 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the program on `argv` (default: the command line) and return its exit code."""
     warnings.formatwarning = _warning_line  # a user gains nothing from the line of code that warns
     end_with_parent()  # a step of a benchmark
+    _keep_freed_memory()
     print_any_text()
     _show_log()
     arguments = [_as_path(word) for word in (sys.argv[1:] if argv is None else argv)]
@@ -87,6 +90,19 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         extras = EXTRAS_OF_COMMAND.get(next(iter(arguments), ""), (extra,))
         return _fail(f"this command needs {package}: {install(*extras)}")
+
+
+def _keep_freed_memory() -> None:
+    """Let glibc hand freed memory on to the next large array.
+
+    It returns arrays of 32 MiB or more to the system, whose new pages took half of all time in the system.
+    """
+    if sys.platform != "linux":
+        return
+    with contextlib.suppress(OSError, AttributeError):  # another C library
+        mallopt = ctypes.CDLL(None).mallopt
+        for option in _TRIM_THRESHOLD, _MMAP_THRESHOLD:
+            mallopt(option, _KEPT)
 
 
 def _run(words: list[str]) -> int:

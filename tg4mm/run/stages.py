@@ -15,7 +15,7 @@ from tg4mm.capture.look.compression import with_losses
 from tg4mm.capture.look.reading import FEWEST, INTRA
 from tg4mm.capture.look.record import from_record, to_record
 from tg4mm.capture.look.rows import with_rows
-from tg4mm.capture.pictures import FilePictures
+from tg4mm.capture.pictures import FilePictures, grey_over_white
 from tg4mm.capture.scene import between_frames, picture_kinds, video_file
 from tg4mm.core.choices import Clock
 from tg4mm.core.errors import RunError
@@ -39,8 +39,6 @@ _SCENE = "scene"
 _VERSION = 19  # of a checkpoint; steps of another version are repeated
 _RESOLVED = 4.0  # noise of the worst over that of the best determined combination of vibrations, at most
 _LOG = logging.getLogger("tg4mm")
-
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
 def courses(
@@ -235,5 +233,6 @@ def _pictures(capture: Capture, images: ImageStack | FilePictures) -> Iterator[G
     kinds = picture_kinds(capture.root, len(frames.rows)) or [INTRA] * len(frames.rows)
     with progress("regions", len(frames.rows), "pictures") as update:
         for k, (row, time) in enumerate(zip(frames.rows, frames.times_s, strict=True)):
-            yield GreyPicture(255 * (images.rgb(int(row)) @ _LUMA), float(time), kinds[k])
+            grey = grey_over_white(images.stored(int(row)), images.maximum)
+            yield GreyPicture(grey, float(time), kinds[k])
             update(k + 1)

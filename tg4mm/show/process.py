@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import load_capture
+from tg4mm.capture.pictures import read_once
 from tg4mm.capture.sfm.clip import Clip, Sources, clip_frames, find_sources
 from tg4mm.capture.sfm.config import SCENE_ONLY, SfmConfig, checked, files_of
 from tg4mm.capture.sfm.reconstruct import reconstruct
@@ -36,7 +37,7 @@ from tg4mm.show.render.cameras import Camera, capture_cameras, orbit
 from tg4mm.show.render.sequence import RECORD as RENDER_RECORD
 from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_sequence
 from tg4mm.show.render.sequence import record as record_of
-from tg4mm.show.report.sources import Shown
+from tg4mm.show.report.sources import Shown, shown_of
 from tg4mm.show.report.write import write_report
 from tg4mm.show.result.model import Length, Result, Vibration, amount, with_deviation
 from tg4mm.show.result.read import result_of
@@ -162,7 +163,7 @@ def process(source: Path, out: Path, options: ProcessOptions | None = None, say:
     with folder.locked("processes into it"):
         folder.claim(record, {**record, "done": {}})
         say(estimate_line(sources, options.sfm))
-        with few_lines():
+        with few_lines(), read_once():
             run_steps(folder, record, _steps(source, out, options, pictures, say), say)
         if not options.all_files:
             _remove_pictures(out / "magnified")
@@ -339,7 +340,9 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
         )
         say(f"no {video}: {why}")
         return
-    request = RenderRequest(shown.magnified).checked()
+    capture = load_capture(run.dataset)
+    in_report = 0 if options.quick or options.only else shown_of(capture.n_timesteps, capture)
+    request = RenderRequest(shown.magnified, kept=None if options.all_files else in_report).checked()
     if options.band is not None:
         refuse_empty(run, request.magnified)
         for line in how_sure(run, request.magnified):
@@ -347,7 +350,7 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
     camera = _fixed_camera(run)
     if camera is None:
         centre = run.load_space().means.median(dim=0).values.numpy()
-        cameras, kind = list(orbit(load_capture(run.dataset), ORBIT, centre)), "orbit"
+        cameras, kind = list(orbit(capture, ORBIT, centre)), "orbit"
     else:
         if options.only and options.regions is not None:
             camera = camera.cut(options.regions[options.only].corners, _AROUND)

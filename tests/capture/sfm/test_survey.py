@@ -10,11 +10,21 @@ from tg4mm.capture.sfm.clip import SWEEP, Clip, Sources
 from tg4mm.capture.sfm.config import DEFAULTS, SfmConfig
 from tg4mm.capture.sfm.defects import check_usable
 from tg4mm.capture.sfm.kind import divided, kind_of
-from tg4mm.capture.sfm.steadiness import ShiftMeter
+from tg4mm.capture.sfm.steadiness import ShiftMeter, reduced
 from tg4mm.core.errors import CaptureError
 
 WALK, STAND = 60, 75  # frames at 30 Hz
 HAND = 3.0  # pixels
+
+
+@pytest.mark.parametrize(("shape", "k"), [((361, 403), 2), ((90, 1201), 4), ((30, 40), 1)])
+def test_a_reduced_picture_has_the_means_of_squares(shape, k):
+    picture = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)[..., 1]
+    rows, columns = (n // k for n in shape)
+    squares = picture[: rows * k, : columns * k].reshape(rows, k, columns, k)
+    found, by = reduced(picture)
+    assert (by, found.dtype) == (k, np.float32)
+    np.testing.assert_allclose(found, squares.mean((1, 3)), rtol=1e-7)
 
 
 class TestShift:

@@ -5,12 +5,14 @@ import json
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.show.measure.filmed import BALL, BALL_SPHERE, PARTS, modes, of_parts, run_of, sine
 from tg4mm.cli.program import main
 from tg4mm.show.analyse import read_channels
 from tg4mm.show.measure import measure, parse_sensor, sep005
 from tg4mm.show.measure.plots import parts_picture
+from tg4mm.show.measure.shapes import _write_gif
 from tg4mm.show.measure.tables import _cell
 
 AMPLITUDE = np.array([0.008, 0.0, 0.006])
@@ -60,6 +62,23 @@ def test_analyse_reads_the_universal_file_as_it_reads_the_folder(out):
         assert (a.quantity, a.unit) == (b.quantity, b.unit)
         np.testing.assert_allclose(b.values, a.values, rtol=5.1e-6)  # measure.json has six digits
         np.testing.assert_allclose(b.times_s, a.times_s, atol=1e-4)
+
+
+def test_an_animation_has_the_colours_of_all_its_pictures(tmp_path):
+    """A photograph's range of colours, and a part that brightens: palettes of their own leave 5.9 grey levels, rms."""
+    y, x = np.mgrid[:64, :96] / 96
+    ground = 255 * np.stack([x, y, 0.5 + 0.4 * np.sin(9 * x)], 2)
+    waves = np.cos(2 * np.pi * np.arange(16) / 16)[:, None, None, None]
+    part = ((x > 0.3) & (x < 0.6))[None, :, :, None]
+    pictures = np.where(part, ground * (0.7 + 0.2 * waves), ground).astype(np.uint8)
+    _write_gif(list(pictures), tmp_path / "a.gif")
+    with Image.open(tmp_path / "a.gif") as gif:
+        assert gif.n_frames == 16
+        for k, wanted in enumerate(pictures):
+            gif.seek(k)
+            found = np.asarray(gif.convert("RGB").resize((96, 64), Image.Resampling.BOX), float)
+            assert np.sqrt(((found - wanted) ** 2).mean()) < 9
+            assert np.abs((found - wanted).mean()) < 2
 
 
 def test_another_program_reads_geometry_shapes_and_waveforms(out):

@@ -50,6 +50,32 @@ def test_resume_keeps_complete_pictures_and_finishes_the_rest(run, cameras, tmp_
     assert {path for path in after if after[path] != before.get(path)} == {torn, gone}
 
 
+def test_of_a_video_alone_some_pictures_are_written(run, cameras, tmp_path, monkeypatch):
+    """Its frames are those of a sequence whose pictures are all there; without a whole video it is made again."""
+    request = RenderRequest(Magnification.of(5))
+    whole = render_sequence(run, cameras[:1], request, tmp_path / "whole")
+    name = f"{cameras[0].name}.mp4"
+    brief, out = replace(request, kept=2), tmp_path / "brief"
+    calls = iter([render_image] * 3)
+    monkeypatch.setattr("tg4mm.show.render.sequence.render_image", lambda *a: _next_or_interrupt(calls)(*a))
+    with pytest.raises(KeyboardInterrupt):
+        render_sequence(run, cameras[:1], brief, out)
+    monkeypatch.undo()
+    assert not list(out.glob("*.mp4"))
+    render_sequence(run, cameras[:1], brief, out)
+    assert (out / name).read_bytes() == (whole / name).read_bytes()
+    pictures = {path.relative_to(out) for path in out.rglob("*.png")}
+    assert pictures == {path.relative_to(whole) for path in sorted(whole.rglob("*.png"))[:2]}
+    for path in pictures:
+        np.testing.assert_array_equal(read_png(out / path), read_png(whole / path))
+
+
+def _next_or_interrupt(calls):
+    for call in calls:
+        return call
+    raise KeyboardInterrupt
+
+
 def test_another_band_other_cameras_and_another_model_are_refused(run, cameras, tmp_path):
     out = render_sequence(run, cameras, RenderRequest(), tmp_path / "out", [0], video=False)
     with pytest.raises(RunError, match=r"band_hz = null, not \[1.0, 6.0\]"):

@@ -59,8 +59,11 @@ def reduced(grey: np.ndarray) -> tuple[np.ndarray, int]:
     """The picture [H, W] averaged over k × k pixels, float32, and k."""
     k = max(1, -(-max(grey.shape) // LONGEST))
     height, width = (n // k * k for n in grey.shape)
-    blocks = grey[:height, :width].reshape(height // k, k, width // k, k)
-    return blocks.mean(axis=(1, 3), dtype=np.float32), k
+    total = np.zeros((height // k, width // k), np.float32)
+    for row in range(k):
+        for column in range(k):
+            total += grey[row:height:k, column:width:k]
+    return total / np.float32(k * k), k
 
 
 class ShiftMeter:

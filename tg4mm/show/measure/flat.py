@@ -11,11 +11,10 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from tg4mm.capture.pictures import Pictures, Strips, over_white
+from tg4mm.capture.pictures import Pictures, Strips, grey_over_white
 from tg4mm.capture.tracking.region import Frames, RegionMotion, region_motions
 from tg4mm.capture.tracking.registration import Box
 from tg4mm.capture.tracking.template import GAIN_ERROR
-from tg4mm.capture.video import LUMA
 from tg4mm.core.regions import inside as inside_of
 from tg4mm.fit.motion.observations import PosedFrames
 from tg4mm.show.maps import pixel_rows
@@ -158,7 +157,7 @@ def _grey(pictures: Pictures, rows: list[int], decoded: dict[str, Strips], box: 
     if "all" not in decoded:
         decoded["all"] = pictures.strips(rows)
     raw = decoded["all"]
-    return np.asarray(255 * (over_white(raw(box[0])[:, :, box[1]], pictures.maximum) @ LUMA))
+    return grey_over_white(raw(box[0])[:, :, box[1]], pictures.maximum)
 
 
 def _measured(

@@ -3,8 +3,9 @@
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,10 @@ import numpy as np
 import torch
 
 from tg4mm.core.errors import RunError
+from tg4mm.core.files import write_atomic
 from tg4mm.core.magnification import AS_CAPTURED, LARGEST_ALPHA, Magnification
 from tg4mm.core.pictures import png
-from tg4mm.core.pictures.decode import write_png
+from tg4mm.core.pictures.decode import to_bytes, write_png
 from tg4mm.core.progress import progress
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.fit.gaussians import Gaussians
@@ -24,7 +26,7 @@ from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.export.lowpass import lacking, smoothing_of
 from tg4mm.show.render.cameras import Camera, transforms_json
 from tg4mm.show.render.image import WHITE, render_image
-from tg4mm.show.render.video import check_rate, video_of_files
+from tg4mm.show.render.video import check_rate, video_of, video_of_files
 
 RECORD = "render.json"
 FORMAT = "tg4mm-render"
@@ -39,9 +41,9 @@ class RenderRequest:
     magnified: Magnification = AS_CAPTURED
     background: tuple[float, float, float] = WHITE
     slow: float = 1.0  # 2 = videos at half speed
-    low_pass_px2: float = (
-        0.3  # widening of drawn Gaussians, square pixels; less if a file's scales include some of it
-    )
+    # widening of drawn Gaussians, square pixels; less if a file's scales include some of it
+    low_pass_px2: float = 0.3
+    kept: int | None = None  # so many of a video's pictures are written; None: all
 
     def checked(self) -> "RenderRequest":
         """Return itself. Raises RunError for an alpha or a speed out of range."""
@@ -136,10 +138,30 @@ def _render(
     with folder.locked("renders into it"):
         folder.claim(record(run, request, cameras, kind))
         what = "rendering" if kind == "sequence" else kind
-        render_missing(jobs, close_up(run, pose), request, f"{what}, α = {request.label}")
+        at, label = close_up(run, pose), f"{what}, α = {request.label}"
+        if request.kept is None or not videos:
+            render_missing(jobs, at, request, label)
         for name, pictures in videos.items():
-            _video_once(out / name, pictures, rate)
+            if request.kept is None:
+                _video_once(out / name, pictures, rate)
+            elif not (out / name).exists():
+                own = [job for job in jobs if job[2] in {*pictures}]
+                size = own[0][1].width, own[0][1].height
+                video_of(out / name, _rendered(own, at, request), size, len(own), rate, label)
     return out
+
+
+def _rendered(
+    jobs: Sequence[Job], pose: Callable[[float, Camera], Gaussians], request: RenderRequest
+) -> Iterator[np.ndarray]:
+    """Yield pictures as bytes; the first `request.kept` are written uncompressed, since they go soon."""
+    for k, (time, camera, path) in enumerate(jobs):
+        view = pose(time, camera), *camera.view
+        image = to_bytes(render_image(*view, request.background, request.low_pass_px2))
+        if k < (request.kept or 0):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(path, partial(Path.write_bytes, data=png.encode(image, 0, filtered=False)))
+        yield image
 
 
 def pose_of(run: Run, request: RenderRequest, device: str = "cpu") -> tuple[Pose, int, float]:
@@ -161,7 +183,8 @@ def render_missing(
         update(done)
         for time, camera, path in todo:
             seen = pose(time, camera)
-            write_png(path, render_image(seen, *camera.view, request.background, request.low_pass_px2))
+            image = render_image(seen, *camera.view, request.background, request.low_pass_px2)
+            write_png(path, image)
             done += 1
             update(done)
     return len(todo)

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import IO, Any
@@ -45,6 +45,8 @@ def loops_to_last(n_frames: int, fps: float, seconds: float) -> int:
 def even_size(image: np.ndarray) -> np.ndarray:
     """Return the picture [H, W, 3] with its last row or column repeated if a side is odd (yuv420p needs even)."""
     height, width = image.shape[:2]
+    if not (height % 2 or width % 2):
+        return image
     return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
 
 
@@ -90,6 +92,7 @@ def _encode(
     fps: float,
     scale: int = 1,
     quality: int = 17,
+    label: str = "video",
 ) -> None:
     """Encode to a file. Raises RunError unless the encoder ends well; only its exit status shows a full disk."""
     import imageio_ffmpeg
@@ -106,7 +109,7 @@ def _encode(
         f"file:{path}",
     ]
     with (
-        progress("video", count, "frames", brief=True) as update,
+        progress(label, count, "pictures", brief=label == "video") as update,
         tempfile.TemporaryFile() as messages,
         subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=messages, **_SEPARATE_GROUP
@@ -141,8 +144,38 @@ def _errors(messages: IO[bytes]) -> str:
     return lines[-1].partition("] ")[2] or lines[-1] if lines else ""
 
 
-def video_of_files(path: Path, pictures: Sequence[Path], fps: float, seconds: float = 4.0) -> None:
-    """Write an mp4 of picture files in order, repeated to last at least `seconds`; small ones are enlarged."""
-    frames = [read_png(picture) for picture in pictures]
-    scale = max(1, math.ceil(256 / max(frames[0].shape[:2]))) if frames else 1
-    write_mp4(path, frames, fps, loops_to_last(len(frames), fps, seconds), scale)
+def video_of_files(path: Path, pictures: Sequence[Path], fps: float) -> None:
+    """Write an mp4 of picture files in order, as `video_of`."""
+    height, width = read_png(pictures[0]).shape[:2]
+    video_of(path, map(read_png, pictures), (width, height), len(pictures), fps)
+
+
+def video_of(
+    path: Path,
+    pictures: Iterable[np.ndarray],
+    size: tuple[int, int],
+    count: int,
+    fps: float,
+    label: str = "video",
+    seconds: float = 4.0,
+) -> None:
+    """Write an mp4 of `count` pictures of one size (width, height), each encoded when it comes.
+
+    They are repeated to last at least `seconds`; small ones are enlarged.
+    """
+    check_rate(fps)
+    loops = loops_to_last(count, fps, seconds)
+    frames = pictures if loops == 1 else [*pictures] * loops
+    scale = max(1, math.ceil(256 / max(size)))
+    even = size[0] + size[0] % 2, size[1] + size[1] % 2
+
+    def prepared() -> Iterator[np.ndarray]:
+        for frame in frames:
+            if frame.shape[1::-1] != size:
+                raise RunError(f"{path}: frames of different sizes {sorted({frame.shape[1::-1], size})}")
+            yield even_size(frame)
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(
+        path, lambda temporary: _encode(temporary, prepared(), loops * count, even, fps, scale, label=label)
+    )

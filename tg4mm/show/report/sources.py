@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.dataset_tree import magnified_alphas
+from tg4mm.capture.pictures import some_pictures
 from tg4mm.core.choices import Clock
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.magnification import Magnification
-from tg4mm.core.pictures.decode import read_png, to_bytes
+from tg4mm.core.pictures.decode import bytes_over_white, read_png, to_bytes
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
@@ -169,7 +170,7 @@ def gather_view(
         return CameraVideos(camera, split.split, magnified, ours, recorded, None, n_frames=1)
     own = list(shots) if clock == Clock.moving else [shots[best]] * len(shots[best].rows)
     rows = [f.rows[0] for f in own] if clock == Clock.moving else shots[best].rows.tolist()
-    kept = _kept(len(rows), train)
+    kept = shown_of(len(rows), train)
     jobs = [(float(split.times_s[rows[i]]) * fps, Camera.of(own[i], size)) for i in range(kept)]
     jobs = [(t - jobs[0][0] if clock == Clock.independent else t, c) for t, c in jobs]
     found = None if there is None or shown is None else shown.pictures(shots[best].name, kept)
@@ -214,7 +215,8 @@ def _most_telling(train: Capture, model: Model, shots: Sequence[PosedFrames]) ->
     return int(some[int(np.argmax(seen))])
 
 
-def _kept(n: int, capture: Capture) -> int:
+def shown_of(n: int, capture: Capture) -> int:
+    """Return how many of n pictures a report's video has."""
     return max(1, min(n, MOST_FRAMES, _BYTES // (capture.width * capture.height * 3)))
 
 
@@ -228,8 +230,8 @@ def _rendered(pose: Pose, jobs: Sequence[tuple[float, Camera]], label: str) -> n
 
 
 def _pictures(capture: Capture, rows: np.ndarray) -> np.ndarray:
-    images = load_images(capture.selected(np.asarray(rows)))
-    return np.stack([to_bytes(images.rgb(i)) for i in range(len(rows))])
+    images = some_pictures(capture, np.asarray(rows))
+    return np.stack([bytes_over_white(images.stored(i)) for i in range(len(rows))])
 
 
 def _truth(dataset: Path, split: Capture, rows: list[int], alpha: float) -> tuple[np.ndarray | None, str]:
