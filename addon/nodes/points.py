@@ -192,7 +192,8 @@ def native_attributes(splat: SplatFile) -> dict[str, np.ndarray]:
     further = splat.sh[:, 1:].transpose(1, 0, 2)  # a PLY is read in this order
     if not further.flags.c_contiguous:
         further = np.empty((count - 1, n, 3), np.float32)
-        for start in range(0, n, colours.IN_CACHE):  # one pass over the file's order, not one for each coefficient
+        # one pass over the file's order, not one for each coefficient
+        for start in range(0, n, colours.IN_CACHE):
             rows = slice(start, start + colours.IN_CACHE)
             further[:, rows] = splat.sh[rows, 1:].transpose(1, 0, 2)
     return {names.NATIVE_BASE: base} | {names.native_sh(k): further[k - 1] for k in range(1, count)}
