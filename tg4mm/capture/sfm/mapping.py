@@ -70,6 +70,7 @@ def find_poses(
 
 
 def best_model(database: Path, images: Path, names: Sequence[str], seed: int, threads: int) -> Any:
+    """Return the pycolmap Reconstruction of most pictures, whose matches are in the database. Raises CaptureError."""
     c = colmap("structure from motion")
     c.set_random_seed(seed)
     folder = database.parent / ".models.tmp"
