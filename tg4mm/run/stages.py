@@ -27,7 +27,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Arrays, arrays_of, gaussians_of
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.fit.motion.observations import fixed_cameras, masked, note_on, observe, window_on
+from tg4mm.fit.motion.observations import PosedFrames, fixed_cameras, masked, note_on, observe, window_on
 from tg4mm.fit.motion.pipeline import fit_motion
 from tg4mm.fit.space.config import SpaceConfig
 from tg4mm.fit.space.plane import fit_plane
@@ -61,6 +61,23 @@ def courses(
     shown = own.copy()
     shown[lossy] -= between
     return np.concatenate([shown, between]), np.concatenate([own, np.zeros_like(between)])
+
+
+def with_shares(
+    frames: PosedFrames, shown: np.ndarray, own: np.ndarray, b_frames: np.ndarray | None
+) -> PosedFrames:
+    """Return the frames with `courses` that they show, and what B-frames and the others show of each."""
+    if b_frames is None or shown is own:
+        return frames
+    carriers = own[own.any(1)]
+    if len(carriers) < len(shown):  # B-frames have courses of their own
+        lossy = (shown[: len(carriers)] != carriers).any(1)
+        carriers = np.concatenate([carriers, carriers[lossy]])
+    shares = np.ones(shown.shape)
+    for kind in (b_frames, ~b_frames):
+        of_kind = carriers[:, kind]
+        shares[:, kind] = ((shown[:, kind] * of_kind).sum(1) / (of_kind**2).sum(1))[:, None]
+    return dataclasses.replace(frames, carriers=carriers, shares=shares)
 
 
 def train_motion(
@@ -97,10 +114,12 @@ def train_motion(
         lines = {
             line.hz: line for line in found.vibrations
         }.values()  # parts of one frequency share its course
-        shown, own = courses(list(lines), times, between_frames(capture.root, len(times)))
+        b_frames = between_frames(capture.root, len(times))
+        shown, own = courses(list(lines), times, b_frames)
         steady = tuple(line.hz for line in lines if line.start_s is None and not line.decay_per_s)
+        frames = [with_shares(each, shown, own, b_frames) for each in observations.frames]
         observations = dataclasses.replace(
-            observations, time_courses=shown, own_courses=own, steady_hz=steady
+            observations, frames=frames, time_courses=shown, own_courses=own, steady_hz=steady
         )
     checkpoint = RunCheckpoint(run, kept, capture.rows_s)
     gaussians = checkpoint.gaussians

@@ -75,7 +75,7 @@ def estimate_line(sources: Sources, config: SfmConfig) -> str:
     seconds = of_all * every + of_one * one + always
     memory = _LEAST_GB + _MORE_GB * min(1.0, every / _ALL_MP) + (_DEEP_GB if has_depth else _FLAT_GB) * one
     memory += _MODES_GB * min(one, _MODES_MP) if has_depth else 0.0
-    what = "in 3D" if has_depth else "one fixed camera"
+    what = "in 3D" if has_depth else "one camera, if fixed"
     return (
         f"{pictures} pictures of {size[0]}×{size[1]}, {what}: about {_about(seconds)} of processor time and "
         f"{memory:.1f} GB of memory"

@@ -11,14 +11,16 @@ from benchmarks.calibration.film import Coding, Film, Layer, sliding, texture, w
 from tg4mm.capture import ImageStack, load_capture
 from tg4mm.capture.pictures import over_white
 from tg4mm.capture.sfm.reconstruct import reconstruct
+from tg4mm.capture.tracking.row_times import row_delays
 from tg4mm.core.choices import Clock, Kind
 from tg4mm.fit.motion.animate import displacement_at
 from tg4mm.fit.motion.large import whole_pixels
 from tg4mm.fit.motion.large.resampling import put_back
+from tg4mm.fit.motion.observation_model import project
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.motion.pipeline import fit_motion
 from tg4mm.fit.space.plane import plane_gaussians, solve_colours
-from tg4mm.run.stages import courses
+from tg4mm.run.stages import courses, with_shares
 from tg4mm.run.train import train
 from tg4mm.show.maps import pixel_rows
 
@@ -198,3 +200,28 @@ def test_b_frames_keep_a_share_where_the_other_frames_do_not_tell_vibrations_apa
     assert not shown[2:4, b_frames].any()
     assert not shown[4:, ~b_frames].any()
     assert np.array_equal(shown[:2], own[:2])
+
+
+@pytest.mark.parametrize("dropped", [[], [31, 60]])
+def test_rows_show_a_vibration_of_which_b_frames_keep_a_share_at_their_own_times(dropped):
+    """What a row shows, brought to the middle row's time, is what it shows there if all rows are read at once."""
+    k = np.delete(np.arange(90), dropped)
+    times, b_frames, height = k / 30, k % 3 > 0, 16
+    line = SimpleNamespace(
+        course=lambda t: np.stack([f(2 * np.pi * 3.3 * t) for f in (np.cos, np.sin)]), between_share=0.1
+    )
+    shown, own = courses([line], times, b_frames)
+    basis = np.linalg.svd(shown - shown.mean(1, keepdims=True), full_matrices=False)[2]
+
+    def products(readout_s, is_known=True):
+        frames = PosedFrames("a", VIEWMAT, np.eye(3, dtype=np.float32), k, times, readout_s)
+        rows_s = times[:, None] + row_delays(readout_s, np.arange(height), height)
+        seen = np.cos(2 * np.pi * 3.3 * rows_s + 0.4) * np.where(b_frames, 0.1, 1)[:, None]
+        strip = np.repeat((seen - seen.mean(0))[:, :, None, None], 3, 3).astype(np.float32)
+        frames = with_shares(frames, shown, own, b_frames) if is_known else frames
+        return project(frames, height, slice(0, height), strip, basis)
+
+    at_once = products(0.0)
+    size = np.linalg.norm(at_once, axis=0).max()
+    assert np.abs(products(0.025) - at_once).max() < 0.04 * size
+    assert np.abs(products(0.025, False) - at_once).max() > 0.1 * size

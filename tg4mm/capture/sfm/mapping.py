@@ -30,6 +30,10 @@ FEWEST_OF_FRAME = 30  # points of the model that a frame must show
 INLIER_PX = 3.0
 GROWTH = 0.05  # of the sum of squared reprojection errors, up to which all lenses are taken for pinholes
 SLIGHT_PX = 0.5  # largest bend of a lens that is taken for one whatever the others are
+TRIED, CLEAR = 12, 0.7  # pairs to start from: so many with most parallax, at least this share of the largest
+FEW_DEGREES = 16.0  # of the first pair: COLMAP's own search, which is fast there, is left to it
+FEWEST_OF_PAIR = 100  # verified matches
+PRECISE_PX = 1.0  # of the first pair's points: COLMAP's 4 pixels hide the parallax of a small angle
 STEPS = 50  # of an adjustment, as COLMAP's mapper takes
 TOLERANCE = 1e-6  # relative change of the squared error at which it ends
 
@@ -62,10 +66,11 @@ def find_poses(
         found = match(database, left, seed, threads)
     if found == 0:
         raise CaptureError(f"no two of the {len(names)} pictures overlap: not one pair could be matched")
-    return _best_model(database, images, names, seed, threads)
+    return best_model(database, images, names, seed, threads)
 
 
-def _best_model(database: Path, images: Path, names: Sequence[str], seed: int, threads: int) -> Any:
+def best_model(database: Path, images: Path, names: Sequence[str], seed: int, threads: int) -> Any:
+    """Return the pycolmap Reconstruction of most pictures, whose matches are in the database. Raises CaptureError."""
     c = colmap("structure from motion")
     c.set_random_seed(seed)
     folder = database.parent / ".models.tmp"
@@ -74,6 +79,8 @@ def _best_model(database: Path, images: Path, names: Sequence[str], seed: int, t
     placed, total = 0, len(names)
     options = mapper_options(c, seed, threads)
     options.image_names = list(names)  # others in the database are placed later
+    if (start := widest_pair(database, names, seed)) is not None and start.degrees < FEW_DEGREES:
+        start.apply(options)
     with progress("poses", total, "pictures") as update:
 
         def next_image() -> None:
@@ -88,6 +95,77 @@ def _best_model(database: Path, images: Path, names: Sequence[str], seed: int, t
             f"no pair to start from: no two of the {total} pictures show enough of the same scene from different places"
         )
     return max(models.values(), key=lambda model: (model.num_reg_images(), model.num_points3D()))
+
+
+# COLMAP tries pairs from the one with most matches, whose views hardly differ, and all of them five times, down to an
+# angle of 4 degrees: minutes of search that find nothing where a hand kept the camera almost in one place.
+@dataclass(frozen=True)
+class FirstPair:
+    """Two pictures to start from, by their numbers in the database, and the median angle between their points' rays."""
+
+    ids: tuple[int, int]
+    degrees: float
+
+    def apply(self, options: Any) -> None:
+        """Let COLMAP start here, and keep points that are seen under angles in proportion."""
+        options.init_image_id1, options.init_image_id2 = self.ids
+        options.init_num_trials = 1
+        options.mapper.init_min_tri_angle = self.degrees / 2
+        options.mapper.init_max_error = PRECISE_PX
+        least = min(options.mapper.filter_min_tri_angle, self.degrees / 8)
+        options.mapper.filter_min_tri_angle = options.triangulation.min_angle = least
+
+
+def widest_pair(database: Path, names: Sequence[str], seed: int) -> FirstPair | None:
+    """Return, of the matched pairs with most parallax, the one whose views differ most; None without one."""
+    c = colmap("structure from motion")
+    options = c.TwoViewGeometryOptions()
+    options.ransac.random_seed, options.ransac.max_error = seed, PRECISE_PX
+    with opened(database) as db:
+        pairs = _MatchedPairs.of(c, db, names)
+        parallax = {ids: pairs.parallax_px(ids) for ids in pairs.matches}
+        most = max(parallax.values(), default=0.0)  # with much less of it the angle is noise
+        clear = [ids for ids in sorted(parallax, key=parallax.__getitem__) if parallax[ids] > CLEAR * most]
+        found = [FirstPair(ids, pairs.degrees(c, ids, options)) for ids in clear[-TRIED:]]
+    return max(found, key=lambda pair: pair.degrees, default=None)
+
+
+@dataclass(frozen=True)
+class _MatchedPairs:
+    """Verified matches of pictures in a database, by the pictures' numbers."""
+
+    cameras: dict[int, Any]
+    points: dict[int, np.ndarray]  # [F, 2] pixels
+    matches: dict[tuple[int, int], np.ndarray]  # [m, 2] uint32
+
+    @classmethod
+    def of(cls, c: Any, db: Any, names: Sequence[str]) -> "_MatchedPairs":
+        images = {image.image_id: image for image in (db.read_image_with_name(name) for name in names)}
+        numbers, geometries = db.read_two_view_geometries()
+        pairs = zip((c.pair_id_to_image_pair(number) for number in numbers), geometries, strict=True)
+        matches = {
+            ids: np.asarray(geometry.inlier_matches)
+            for ids, geometry in pairs
+            if set(ids) <= set(images) and len(geometry.inlier_matches) >= FEWEST_OF_PAIR
+        }
+        cameras = {i: db.read_camera(image.camera_id) for i, image in images.items()}
+        points = {i: np.asarray(db.read_keypoints(i), np.float64)[:, :2] for i in images}
+        return cls(cameras, points, matches)
+
+    def parallax_px(self, ids: tuple[int, int]) -> float:
+        """Return the median distance of matches from one affine map of the pictures, which shows no depth."""
+        first, second = (self.points[i][self.matches[ids][:, k]] for k, i in enumerate(ids))
+        design = np.concatenate([first, np.ones((len(first), 1))], 1)
+        left = second - design @ np.linalg.lstsq(design, second, rcond=None)[0]
+        return float(np.median(np.linalg.norm(left, axis=1)))
+
+    def degrees(self, c: Any, ids: tuple[int, int], options: Any) -> float:
+        """Return the median angle between the rays of a pair's points; 0 where no pose explains the matches."""
+        (a, b), matches = ids, self.matches[ids]
+        seen = self.cameras[a], self.points[a], self.cameras[b], self.points[b]
+        geometry = c.estimate_calibrated_two_view_geometry(*seen, matches, options)
+        has_pose = c.estimate_two_view_geometry_pose(*seen, geometry)
+        return float(np.degrees(geometry.tri_angle)) if has_pose else 0.0
 
 
 def mapper_options(c: Any, seed: int, threads: int) -> Any:

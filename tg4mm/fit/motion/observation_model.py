@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from tg4mm.capture.tracking.row_times import row_delays
-from tg4mm.core.even_clock import later
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Nuisance, Projection
@@ -79,5 +78,5 @@ def project(
         flat = functions.astype(np.float32) @ strip.reshape(len(strip), -1)
         return flat.reshape(len(functions), *strip.shape[1:])
     delays = row_delays(frames.readout_s, np.arange(rows.start, rows.stop), height)
-    each = (later(frames.times_s, functions, d).astype(np.float32) for d in delays)
+    each = (frames.later(functions, d).astype(np.float32) for d in delays)
     return np.stack([np.tensordot(f, strip[:, k], 1) for k, f in enumerate(each)], axis=1)

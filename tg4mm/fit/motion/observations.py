@@ -19,6 +19,7 @@ from tg4mm.capture.pictures import FilePictures, MaskedPictures, Pictures, Windo
 from tg4mm.capture.scene import codec_period
 from tg4mm.core.choices import Clock, Kind
 from tg4mm.core.errors import CaptureError
+from tg4mm.core.even_clock import later
 from tg4mm.core.progress import progress
 from tg4mm.fit.motion.config import MotionConfig, asked_factor
 from tg4mm.fit.space.view import EPS2D
@@ -50,6 +51,21 @@ class PosedFrames:
     times_s: np.ndarray  # [F] float64, seconds on this camera's own clock, of the middle row
     readout_s: float = 0.0  # from the first row to the last; 0: all rows at once
     low_pass: float = EPS2D  # square pixels, of the picture that Gaussians make
+    carriers: np.ndarray | None = None  # [C, F] known vibrations
+    shares: np.ndarray | None = None  # [C, F] of them that the pictures show: a codec's B-frames keep less
+
+    def later(self, functions: np.ndarray, seconds: float) -> np.ndarray:
+        """Return functions [R, F], of mean 0, so many seconds later, for rows that are read then.
+
+        A vibration of which frames show unlike shares is no smooth function of time: it is delayed, then shared.
+        """
+        if self.carriers is None or not seconds:
+            return later(self.times_s, functions, seconds)
+        shown = self.shares * self.carriers
+        moved = self.shares * later(self.times_s, self.carriers, seconds)
+        shown, moved = (each - each.mean(1, keepdims=True) for each in (shown, moved))
+        weights = np.linalg.lstsq(shown.T, functions.T, rcond=None)[0].T
+        return np.asarray(weights @ moved + later(self.times_s, functions - weights @ shown, seconds))
 
     def through(self, window: Window, height: int) -> "PosedFrames":
         """Return the frames seen through a window on pictures `height` pixels high; averaging widens Gaussians."""

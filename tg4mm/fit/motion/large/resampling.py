@@ -11,7 +11,6 @@ from scipy.ndimage import spline_filter1d
 
 from tg4mm.capture.pictures import Pictures, Strips, over_white
 from tg4mm.capture.tracking.row_times import row_delays
-from tg4mm.core.even_clock import later
 from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.core.progress import progress
 from tg4mm.fit.motion.observations import PosedFrames
@@ -117,7 +116,7 @@ def _reach(some: np.ndarray) -> slice:
 def _by_row(frames: PosedFrames, functions: np.ndarray, rows: range, height: int) -> np.ndarray:
     """Return [rows, R, F] float32: functions of time when each row of the pictures is read."""
     delays = row_delays(frames.readout_s, rows, height)
-    each = [later(frames.times_s, functions, delay) for delay in delays]
+    each = [frames.later(functions, delay) for delay in delays]
     return np.asarray(each, np.float32).reshape(len(rows), *functions.shape)
 
 
