@@ -45,15 +45,15 @@ from tg4mm.show.result.requested import how_sure, refuse_empty
 from tg4mm.show.web.write import export_html
 
 # Processor seconds in measured runs: for each megapixel of all pictures (the model; then numbers, video and report),
-# for each of one picture, and in any case. Model and memory: docs/results.md, "Large videos"; the rest: 301 pictures of
-# 960×544 took 348 s in all, 120 of 240×160 106 s. In 3D 262 pictures of 600×800 took 1,630 s, beside other work.
-_FLAT_S = 0.16 + 1.34, 25.0, 90.0
+# for each of one picture, and in any case. 300 pictures of 960×540 took 189 s and 3.8 GB, of 640×360 79 s and 1.8 GB,
+# 120 of 240×160 26 s and 0.8 GB. In 3D 262 pictures of 600×800 took 1,630 s, beside other work.
+_FLAT_S = 1.0, 30.0, 20.0
 _DEEP_S = 9.0 + 1.34, 0.0, 120.0
-_FLAT_GB, _DEEP_GB = 0.25, 1.7  # for each megapixel of one picture
+# GB for all pictures, up to so many megapixels; for each megapixel of one picture
+_FLAT_GB, _DEEP_GB, _ALL_MP = (3.0, 0.6), (1.4, 1.7), 150.0
 # of the modes in 3D, in addition; up to so many megapixels, since the number of Gaussians is limited
 _MODES_GB, _MODES_MP = 7.3, 0.5
-# in any case; in addition for all pictures, up to so many megapixels
-_LEAST_GB, _MORE_GB, _ALL_MP = 0.6, 1.4, 150.0
+_LEAST_GB = 0.6  # in any case
 _NAMED = 2  # vibrations
 RECORD, ANALYSIS = "process.json", "analysis"
 ORBIT = 90  # pictures
@@ -73,7 +73,8 @@ def estimate_line(sources: Sources, config: SfmConfig) -> str:
     has_depth = Kind(config.kind).sees_depth if config.kind is not None else has_depth
     of_all, of_one, always = _DEEP_S if has_depth else _FLAT_S
     seconds = of_all * every + of_one * one + always
-    memory = _LEAST_GB + _MORE_GB * min(1.0, every / _ALL_MP) + (_DEEP_GB if has_depth else _FLAT_GB) * one
+    of_every, of_each = _DEEP_GB if has_depth else _FLAT_GB
+    memory = _LEAST_GB + of_every * min(1.0, every / _ALL_MP) + of_each * one
     memory += _MODES_GB * min(one, _MODES_MP) if has_depth else 0.0
     what = "in 3D" if has_depth else "one camera, if fixed"
     return (
