@@ -57,8 +57,8 @@ if TYPE_CHECKING:  # `as` re-exports a name to type checkers
     from tg4mm.show.render.cameras import orbit as orbit
     from tg4mm.show.render.image import render as render
 
-# Waiting threads of OpenMP and OpenBLAS spin by default, which on a busy machine costs ten times what it saves. Read when
-# torch, numba and numpy load them, so it is set before; a value of the user's own stays.
+# Waiting threads of OpenMP and OpenBLAS spin by default, which on a busy machine costs ten times what it saves. Read
+# when torch, numba or numpy load them, so it is set before; a value of the user's own stays.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")  # 2^4 cycles, the least; by default 2^26
 

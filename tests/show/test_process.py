@@ -46,7 +46,7 @@ def test_a_video_becomes_numbers_pages_and_a_magnified_video(video, tmp_path, ca
     assert re.search(r"velocity,px/s,.*,rms,[0-9.]+,[0-9.]+\n", levels)
     said, progress = capsys.readouterr()
     first, *steps, hz, amplitude, where, missing, opens = said.splitlines()
-    costs = "about 2 min of processor time and 0.6 GB"
+    costs = "about 1 min of processor time and 0.6 GB"
     assert first.startswith(f"50 pictures of 96×72, one camera, if fixed: {costs}")
     assert len(steps) + len(progress.splitlines()) <= 40
     assert float(hz.removeprefix("frequency").split(" ± ")[0]) == pytest.approx(HZ, abs=0.05)
