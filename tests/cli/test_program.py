@@ -217,7 +217,7 @@ def test_generate_without_blender_says_how_to_install_it():
 
 @pytest.mark.skipif(sys.platform != "linux" or platform.libc_ver()[0] != "glibc", reason="of glibc alone")
 def test_a_large_array_takes_the_place_of_the_last_one(repo_root):
-    """Of 64 MiB, 16,384 pages of the system: it hands them out anew for each array, unless the program keeps them."""
+    """An array of 64 MiB takes 16,384 pages, which the system hands out anew unless the program keeps them."""
     program = (
         "import resource, numpy as np\n{}\n"
         "def faults(): return resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"

@@ -76,7 +76,9 @@ def with_shares(
     shares = np.ones(shown.shape)
     for kind in (b_frames, ~b_frames):
         of_kind = carriers[:, kind]
-        shares[:, kind] = ((shown[:, kind] * of_kind).sum(1) / (of_kind**2).sum(1))[:, None]
+        # 0 where no frame is of that kind
+        squares = np.maximum((of_kind**2).sum(1), np.finfo(np.float64).tiny)
+        shares[:, kind] = ((shown[:, kind] * of_kind).sum(1) / squares)[:, None]
     return dataclasses.replace(frames, carriers=carriers, shares=shares)
 
 

@@ -120,10 +120,8 @@ def depth_order(splats, keys, order, keys2, order2):
             keys[n] = bits[i]
             order[n] = i
             n += 1
-    digit, size = (
-        int64(_RADIX_BITS),
-        int64(1 << _RADIX_BITS),
-    )  # for each literal a pass would be compiled anew
+    # for each literal a pass would be compiled anew
+    digit, size = int64(_RADIX_BITS), int64(1 << _RADIX_BITS)
     _radix_pass(keys, order, keys2, order2, n, int64(0), size)
     _radix_pass(keys2, order2, keys, order, n, digit, size)
     _radix_pass(keys, order, keys2, order2, n, 2 * digit, size)
