@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, spline_filter, zoom
 from skimage import data
 
 from benchmarks.calibration.film import Coding, Film, FilmMode, Layer, sliding, texture, write_video
 from tg4mm.capture.look import GreyPicture, look, look_at_pictures
 from tg4mm.capture.look.look import _is_off_mirror
+from tg4mm.capture.video import av_module
 from tg4mm.core.errors import CaptureError
 
 WIDTH, HEIGHT, FPS, FRAMES = 160, 112, 30, 180
@@ -147,6 +148,42 @@ def test_cells_at_rest_beside_the_plate_do_not_lessen_its_amplitude(tmp_path, si
     strongest = plate_before_a_skipped_wall(tmp_path / "a.mp4", size_px, hz, noise, crf, box).vibrations[0]
     assert strongest.hz == pytest.approx(hz, abs=0.02)
     assert strongest.amplitude_px == pytest.approx(size_px, rel=0.2)
+
+
+def decoded(path, photograph, bump, phase, seed=0):
+    """150 grey pictures of a compressed film, in which a bump of a photograph vibrates by 3.7 Hz to left and right."""
+    size_px, x, y, width, height = bump
+    still = np.atleast_3d(getattr(data, photograph)()).mean(2)
+    still = zoom(still, max(640 / still.shape[1], 1), order=1)[:360, :512]
+    down, right = np.mgrid[: still.shape[0], : still.shape[1]].astype(np.float32)
+    spline = spline_filter(still, 3, output=np.float32, mode="mirror")
+    share = np.exp(-((((right - x) / width) ** 2 + ((down - y) / height) ** 2) ** 2))
+    box = np.s_[max(y - 2 * height, 0) : y + 2 * height, max(x - 2 * width, 0) : x + 2 * width]
+    rng, frames = np.random.default_rng(seed), []
+    for k in range(150):
+        at = [down[box], right[box] - size_px * np.sin(2 * np.pi * 3.7 * k / FPS + phase) * share[box]]
+        moved = still.copy()
+        moved[box] = map_coordinates(spline, at, order=3, prefilter=False, mode="mirror")
+        frames.append(np.clip(np.rint(moved + 1.5 * rng.normal(size=still.shape)), 0, 255).astype(np.uint8))
+    write_video(path, np.stack(frames), FPS, Coding("libx264", 0, crf=23))
+    with av_module().open(str(path)) as file:
+        return np.stack([frame.to_ndarray(format="gray") for frame in file.decode(video=0)])
+
+
+def test_of_frames_decoded_from_a_compressed_film_no_vibration_is_named_that_its_order_makes(tmp_path):
+    bump, phase = (0.25, 180, 180, 92, 94), 1.4 - np.pi / 2
+    shown = decoded(tmp_path / "film.mp4", "brick", bump, phase, seed=1)
+    found = look_at_pictures((GreyPicture(grey, k / FPS) for k, grey in enumerate(shown)), "the frames")
+    assert min(abs(line.hz - 3.7) for line in found.vibrations) < 0.03
+    assert min(abs(line.hz - hz) for line in found.vibrations for hz in (7.5, 15)) > 0.2
+
+
+def test_what_vibrates_is_not_masked_where_a_codec_changed_most_of_it(tmp_path):
+    """Its cells move as their neighbours do, unlike those of a wheel or of leaves."""
+    shown = decoded(tmp_path / "film.mp4", "rocket", (0.5, 179, 180, 92, 94), 0.0)
+    half = np.rint(shown.reshape(150, 180, 2, 256, 2).mean((2, 4))).astype(np.uint8)
+    found = look_at_pictures((GreyPicture(grey, k / FPS) for k, grey in enumerate(half)), "the frames")
+    assert any(abs(line.hz - 3.7) < 0.03 and line.amplitude_px > 0.15 for line in found.vibrations)
 
 
 def test_of_noise_nothing_is_named():

@@ -35,9 +35,8 @@ def marked(
 ) -> list[LookLine]:
     """Return the lines, each marked with the reason why it may be an artefact.
 
-    patterns: periods of the codec's frame kinds; none: it makes no line of another. taken_off: frequencies in Hz that
-    were removed from the shifts, with everything the record does not resolve from them, and their origin. light: its
-    lines.
+    patterns: periods of the codec's frame kinds; none: it makes no line of another. taken_off: frequencies in Hz of
+    another origin, which marks everything that the record does not resolve from them. light: its lines.
     clipped [rows, columns] bool: cells with clipped highlights.
     """
     marks = [_mark(line, lines, rate, duration_s, patterns, taken_off) for line in lines]

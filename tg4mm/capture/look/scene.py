@@ -18,6 +18,8 @@ from tg4mm.core.lines import tone
 _BESIDE, _BESIDE_SPREADS = 1.5, 3  # times the baseline misfit, and deviations of its scatter: a mover's rim
 _PASSING = 6  # deviations of a cell's own misfit over time, and of key frames' noise over cells
 _UNSEEN_NOISE = 4.0  # grey levels², as sensors have: where a codec repeats what rests, its noise is not known
+_AS_NEIGHBOURS = 0.5**0.5  # correlation of a cell's shift with its neighbours': they tell half of its motion
+_NEIGHBOURS = np.array([[1.0, 1, 1], [1, 0, 1], [1, 1, 1]])[None, None]
 _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
 _LOST = 0.03  # share of detail that B-frames lack from which they are treated apart
 _FEWESTOTHERS = 24  # pictures that are not B
@@ -115,15 +117,20 @@ class CellScene:
     def patterns(self) -> tuple[int, ...]:
         """Periods of the frames' kinds; that of key frames too, if it is short and regular.
 
-        Empty if every frame is coded alone.
+        Empty if every frame is coded alone, but not where they may have been decoded.
         """
         if (self.series.kinds == INTRA).all():
-            return ()
+            return PATTERNS if self.may_be_decoded else ()
         found = dict.fromkeys(PATTERNS)
         for kind in (self.series.kinds == INTRA, ~self.between):
             if 1 < (period := _period(kind)) <= _LONGEST_PATTERN * len(self.times_s):
                 found[period] = None
         return tuple(found)
+
+    @property
+    def may_be_decoded(self) -> bool:
+        """Return whether each frame is coded alone, but shows no noise at rest, as if another codec had repeated it."""
+        return bool((self.series.kinds == INTRA).all()) and baseline_in(self.series).level <= QUANTISED
 
     @property
     def order_period(self) -> int:
@@ -132,9 +139,9 @@ class CellScene:
 
     @property
     def taken_off(self) -> dict[float, str]:
-        """Frequencies that are removed from the shifts, with their origin: the order of B-frames, or bands of light."""
-        period = self.order_period
-        turns = {k / (period * self.dt): "the codec's turns at" for k in range(1, period // 2 + 1)}
+        """Frequencies with another origin than motion: the order of B-frames, or bands of light."""
+        periods = PATTERNS if self.may_be_decoded else (self.order_period,)
+        turns = {k / (n * self.dt): "the codec's turns at" for n in periods for k in range(1, n // 2 + 1)}
         return turns | {line.hz: "the light's" for line in self.light if line.is_banded}
 
     @property
@@ -186,15 +193,19 @@ def find_masks(series: CellSeries, edges: np.ndarray | None = None) -> Masks:
 
     Their misfit stands out of the noise and is most of the change. A vibration leaves a misfit, too: an edge that
     covers the background, terms beyond the series of a shift, points between pixels. But this is a small share of the
-    change that its shift explains, however little noise there is.
+    change that its shift explains, however little noise there is. A codec can change most of what vibrates, but not
+    that neighbours move alike, as those of a wheel or of leaves do not. Where no noise is seen at rest, a codec has
+    repeated it, also if what it made was decoded and stored again as pictures or without loss.
     """
     grid, baseline = series.grid, baseline_in(series)
     own_change = np.maximum(series.change.mean(0) - baseline.noise, 0)
     is_other = _is_most(grid, np.maximum(series.misfit.mean(0) - baseline.noise, 0), own_change)
     core, excess = baseline.stand_out() & is_other, baseline.excess
-    if baseline.level <= QUANTISED and (series.kinds != INTRA).any():
+    if baseline.level <= QUANTISED:
         core &= series.misfit.mean(0) > _UNSEEN_NOISE
     core = core if edges is None else core & ~edges
+    if core.any():
+        core &= _like_neighbours(series, ~core) < _AS_NEIGHBOURS
     around = ndimage.binary_dilation(grid.picture(core), BLOCK).ravel() & ~series.matched
     typical = typical_by_kind(series)
     relative = series.misfit / typical
@@ -210,6 +221,24 @@ def find_masks(series: CellSeries, edges: np.ndarray | None = None) -> Masks:
     hidden = ndimage.binary_dilation(grid.picture(passed), np.ones((7, 3, 3))).reshape(passed.shape)
     hidden |= ~np.isfinite(series.shift).all(2)
     return Masks(core, ~quiet | around | (hidden.mean(0) > 0.5), passed, hidden)
+
+
+def _like_neighbours(series: CellSeries, still: np.ndarray) -> np.ndarray:
+    """[C]: correlation of a cell's shift, over time and axes, with the weighted mean of its eight neighbours'.
+
+    Shifts are relative to the median of the cells `still` [C] bool, less constant and trend.
+    """
+    shift = np.where(np.isfinite(series.shift), series.shift, 0)
+    if still.any():
+        shift = shift - np.median(shift[:, still], 1)[:, None]
+    slow = np.linalg.qr(np.stack([np.ones_like(series.times_s), series.times_s], 1))[0]
+    shift = shift - np.einsum("fp,gp,gcd->fcd", slow, slow, shift)
+    weights = 1 / np.maximum(np.trace(shift_covariance(series), axis1=1, axis2=2), 1e-12)
+    weighted = series.grid.picture((weights[:, None] * shift).transpose(0, 2, 1))  # [F, 2, rows, columns]
+    others = ndimage.convolve(weighted, _NEIGHBOURS, mode="constant").reshape(len(shift), 2, -1)
+    others = others.transpose(0, 2, 1)
+    sizes = np.sqrt((shift**2).sum((0, 2)) * (others**2).sum((0, 2)))
+    return np.asarray((shift * others).sum((0, 2)) / np.maximum(sizes, 1e-30))
 
 
 def _combed(passed: np.ndarray) -> np.ndarray:
