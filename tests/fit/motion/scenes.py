@@ -91,7 +91,7 @@ def operator(p, smoothness=3.0, weighted=False):
 
 def draw(o, seed, count=1):
     """θ [count, P, 3]."""
-    n = 4 * len(o.preconditioner.blocks) + len(o.preconditioner.coarse_factor)
+    n = o.preconditioner.levels[-1].start + len(o.preconditioner.coarse_factor)
     return np.random.default_rng(seed).normal(size=(count, n, 3)).astype(np.float32)
 
 

@@ -10,12 +10,17 @@ import pytest
 import torch
 from scipy.sparse import bsr_matrix
 
-from tests.fit.motion.scenes import inner, operator, problem
+from tests.fit.motion.scenes import draw, inner, operator, problem
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.prior import ROWS
 from tg4mm.fit.motion.solver.operator import Array
 from tg4mm.fit.motion.solver.pcg import Solution, fetched, pcg, sent
-from tg4mm.fit.motion.solver.preconditioner import Aggregates, TwoLevelPreconditioner, information, probe
+from tg4mm.fit.motion.solver.preconditioner import (
+    Aggregates,
+    MultilevelPreconditioner,
+    information,
+    probe,
+)
 
 
 @dataclass
@@ -116,8 +121,9 @@ def plain(o):
     n = o.graph.n_gaussians
     blocks = np.tile(np.eye(ROWS, dtype=np.float32), (n, 1, 1))
     nothing = bsr_matrix((ROWS * n, ROWS), blocksize=(ROWS, ROWS), dtype=np.float32)
-    aggregates = Aggregates(o.graph, nothing, np.zeros_like(blocks))
-    own = TwoLevelPreconditioner(blocks, aggregates, np.eye(ROWS, dtype=np.float32))
+    one = np.eye(ROWS, dtype=np.float32)
+    aggregates = Aggregates(o.graph, nothing, bsr_matrix(one, blocksize=one.shape), np.zeros_like(blocks))
+    own = MultilevelPreconditioner(blocks, aggregates, np.zeros((1, ROWS, ROWS), np.float32), one)
     return replace(o, preconditioner=own)
 
 
@@ -149,7 +155,7 @@ def test_the_information_is_the_diagonal_of_the_data():
 
 def test_from_field_is_the_transpose():
     pre, rng = operator(problem()).preconditioner, np.random.default_rng(1)
-    theta = rng.normal(size=(4 * len(pre.blocks) + len(pre.coarse_factor), 3)).astype(np.float32)
+    theta = draw(operator(problem()), 1)[0]
     v = rng.normal(size=(len(pre.blocks) * ROWS, 3)).astype(np.float32)
     one, other = inner(pre.field(theta), v), inner(pre.from_field(v), theta)
     assert abs(one - other) < 1e-5 * np.linalg.norm(pre.field(theta)) * np.linalg.norm(v)

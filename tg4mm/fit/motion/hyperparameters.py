@@ -20,7 +20,6 @@ from scipy.ndimage import gaussian_filter
 
 from tg4mm.core.memory import release
 from tg4mm.core.progress import progress
-from tg4mm.fit.motion.config import more_iterations
 from tg4mm.fit.motion.solver.cpu import CpuOperator, SharedPass
 from tg4mm.fit.motion.solver.operator import Fold, Operator
 from tg4mm.fit.motion.solver.pcg import pcg
@@ -37,7 +36,7 @@ _STEP = 0.02  # of the logarithm of the weight
 # what a larger weight may predict worse: a part of the least error, and of what the best weight explains, which in
 # noise is much smaller
 _WITHIN, _OF_EXPLAINED = 0.002, 0.02
-_FEW = 4  # iterations for the candidates, of 16,000 Gaussians or fewer: their order is settled by then
+_FEW = 4  # iterations for the candidates: their order is settled by then
 _LOOSE = 30.0  # smoothness weight while noise is looked for: where much holds them together noise agrees too
 _FOR_NOISE = 2  # iterations; two to six give the same
 _MIN_RELIABILITY = 0.5  # below it a component is noise: more than half of its field
@@ -64,7 +63,7 @@ def select_smoothness(images: np.ndarray, problem: Problem, folds: Sequence[Fold
         return float(problem.config.smoothness_weight)
     if len(folds) == 1:
         return DEFAULT
-    return chosen_weight(images, problem, folds, round(_FEW * more_iterations(problem.n_gaussians)))
+    return chosen_weight(images, problem, folds, _FEW)
 
 
 def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:
