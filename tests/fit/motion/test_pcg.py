@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 import torch
-from scipy.sparse import bsr_matrix
+from scipy.sparse import bsr_matrix, diags
 
 from tests.fit.motion.scenes import draw, inner, operator, problem
 from tg4mm.fit.motion.jacobian.packed import DOF
@@ -195,7 +195,7 @@ class Sheet:
         axes, scales = np.tile(np.eye(3), (self.n, 1, 1)), np.full((self.n, 3), 0.01)
         self.graph = build_graph(self.means, axes, scales)
         aggregates, diagonal = aggregate(self.graph, self.means), np.tile([1.0, 0, 0, 0], self.n)
-        images = DiagonalEstimate(1.0, diagonal, aggregates.galerkin_of_diagonal(diagonal))
+        images = DiagonalEstimate(1.0, diagonal, aggregates.galerkin(diags(diagonal)))
         self.weight = np.float32(diagonal[:, None])
         self.preconditioner = multilevel_preconditioner(aggregates, images, 300.0, 1e-3)
 

@@ -18,7 +18,6 @@ level of their own, block Jacobi too. So iterations do not grow with the number 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -41,11 +40,9 @@ PROBES = 8  # random pictures to estimate the diagonal of JᵀWJ: 50 % deviation
 _SHARED = 32.0
 
 
-class Levels(NamedTuple):
-    """A symmetric matrix on fields as the coarse levels see it: of its Galerkin operators what is used."""
-
-    patches: np.ndarray  # [M, 4, 4] float64: the blocks on the diagonal
-    regions: np.ndarray  # [4G, 4G] float64
+# Of a symmetric matrix on fields what the coarse levels use of its Galerkin operators: the diagonal blocks [M, 4, 4] of
+# the patches, and all [1, 4G, 4G] of the regions, float64.
+Levels = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -71,18 +68,16 @@ class Aggregates:
         return np.asarray(self.tentative_regions.indices[self.tentative.indices])
 
     @property
-    def _steps(self) -> int:
+    def _steps(self) -> range:
         """Jacobi steps on Gaussians: for patches one suffices, since regions take theirs on patches."""
-        return 1 if self.has_patches else _STEPS
+        return range(1 if self.has_patches else _STEPS)
 
     @cached_property
     def matrix(self) -> bsr_matrix:
         """Patches to Gaussians [4N, 4M] float64."""
-        n = len(self.smoother)
-        blocks = bsr_matrix((self.smoother.astype(np.float64), np.arange(n), np.arange(n + 1)))
         out = self.tentative.astype(np.float64)
-        for _ in range(self._steps):
-            out = out - blocks @ (self.graph.blocks @ out)
+        for _ in self._steps:
+            out = out - _block_diagonal(self.smoother.astype(np.float64)) @ (self.graph.blocks @ out)
         return out
 
     @cached_property
@@ -91,58 +86,48 @@ class Aggregates:
         if not self.has_patches:
             return self.tentative_regions
         prior, out = self._on_patches(self.graph.blocks), self.tentative_regions.astype(np.float64)
-        inverse = _damped_inverse(_own_blocks(prior), lambda x: prior @ x)
-        blocks = bsr_matrix((inverse, np.arange(len(inverse)), np.arange(len(inverse) + 1)))
+        smoother = _block_diagonal(_smoother(_own_blocks(prior), prior.__matmul__))
         for _ in range(_STEPS):
-            out = out - blocks @ (prior @ out)
+            out = out - smoother @ (prior @ out)
         return out.astype(np.float32)
 
     @cached_property
     def stiffness(self) -> Levels:
-        """The prior's matrix K."""
+        """Of the prior's matrix K."""
         return self.galerkin(self.graph.blocks)
 
     @cached_property
     def gram(self) -> Levels:
-        """The unit matrix."""
-        return self.galerkin_of_diagonal(np.ones(ROWS * len(self.smoother)))
+        """Of the unit matrix."""
+        return self.galerkin(_block_diagonal(np.tile(np.eye(ROWS), (len(self.smoother), 1, 1))))
 
     def galerkin(self, matrix: bsr_matrix) -> Levels:
         """Of a matrix [4N, 4N]."""
         on_patches, regions = self._on_patches(matrix), self.regions.astype(np.float64)
-        return Levels(_own_blocks(on_patches), np.asarray((regions.T @ (on_patches @ regions)).toarray()))
-
-    def galerkin_of_diagonal(self, diagonal: np.ndarray) -> Levels:
-        """Of a diagonal matrix [4N]."""
-        n = len(self.smoother)
-        blocks = diagonal.reshape(n, ROWS, 1) * np.eye(ROWS)
-        return self.galerkin(bsr_matrix((blocks, np.arange(n), np.arange(n + 1))))
+        return _own_blocks(on_patches), (regions.T @ (on_patches @ regions)).toarray()[None]
 
     def _on_patches(self, matrix: bsr_matrix) -> bsr_matrix:
         return (self.matrix.T @ (matrix @ self.matrix)).tobsr((ROWS, ROWS))
 
-    def field(self, patches: np.ndarray) -> np.ndarray:
-        """Fields of patches [4M, 3] float32 -> [4N, 3] float32."""
-        x = self.tentative @ patches
-        for _ in range(self._steps):
+    def field(self, patches: np.ndarray, regions: np.ndarray) -> np.ndarray:
+        """Fields of patches [4M, 3] and regions [4G, 3] float32 -> their sum [4N, 3] float32."""
+        x = self.tentative @ (patches + self.regions @ regions)
+        for _ in self._steps:
             x = self.graph.smoothed(self.smoother, x)
         return np.asarray(x)
 
-    def from_field(self, v: np.ndarray) -> np.ndarray:
+    def from_field(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The transpose of `field`."""
         v = v.copy()
-        for _ in range(self._steps):
+        for _ in self._steps:
             self.graph.smooth_transposed(self.smoother, v)
-        return np.asarray(self._restriction @ v)
+        to_patches, to_regions = self._transposed
+        patches = np.asarray(to_patches @ v)
+        return patches, np.asarray(to_regions @ patches)
 
     @cached_property
-    def _restriction(self) -> bsr_matrix:
-        return self.tentative.T.tobsr()
-
-    @cached_property
-    def to_regions(self) -> bsr_matrix:
-        """The transpose of `regions`."""
-        return self.regions.T.tobsr()
+    def _transposed(self) -> tuple[bsr_matrix, bsr_matrix]:
+        return self.tentative.T.tobsr(), self.regions.T.tobsr()
 
 
 def aggregate(graph: NeighbourGraph, means: np.ndarray) -> Aggregates:
@@ -153,36 +138,34 @@ def aggregate(graph: NeighbourGraph, means: np.ndarray) -> Aggregates:
         graph.add_prior(x, 1.0, 0.0, product)
         return product
 
-    damped = _damped_inverse(graph.own_blocks, prior_times)
+    smoother = np.ascontiguousarray(_smoother(graph.own_blocks, prior_times), np.float32)
     regions = _split(means, [np.arange(len(means))], MOST)
     patches = _split(means, regions, len(means))
     if len(patches) < 4 * len(regions):
         patches = regions
     tentative, centres = _tentative(means, patches, graph.mean_spacing)
-    of_regions = np.arange(len(patches)).reshape(len(regions), -1)
-    tentative_regions, _ = _tentative(centres, list(of_regions), graph.mean_spacing)
-    return Aggregates(graph, tentative, tentative_regions, np.ascontiguousarray(damped, np.float32))
+    of_regions = list(np.arange(len(patches)).reshape(len(regions), -1))
+    return Aggregates(graph, tentative, _tentative(centres, of_regions, graph.mean_spacing)[0], smoother)
 
 
-def _damped_inverse(blocks: np.ndarray, times: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Return [n, 4, 4], symmetric: the inverse of a matrix's blocks on the diagonal, as Jacobi steps take it.
+def _smoother(blocks: np.ndarray, times: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Return [n, 4, 4], symmetric: damped inverse of the diagonal blocks of a matrix, whose products are `times`.
 
-    `times`: products with the matrix, [4n, 3].
+    Its largest eigenvalue is estimated by power iteration on three random fields.
     """
     # neighbours that all lie on a line leave some gradients undetermined: the block is singular
     blocks = blocks + 1e-3 * np.trace(blocks, axis1=1, axis2=2)[:, None, None] / ROWS * np.eye(ROWS)
     inverse = np.linalg.inv(blocks)
     inverse = (inverse + inverse.transpose(0, 2, 1)) / 2
-    return np.asarray(inverse * (_DAMPING / _largest_eigenvalue(inverse.astype(np.float32), times)))
-
-
-def _largest_eigenvalue(blocks: np.ndarray, times: Callable[[np.ndarray], np.ndarray]) -> float:
-    """Estimate the largest eigenvalue of M K by power iteration on three random fields."""
     x = np.random.default_rng(0).normal(size=(ROWS * len(blocks), 3)).astype(np.float32)
     for _ in range(_POWER_STEPS):
         x /= np.linalg.norm(x, axis=0)
-        x = times_blocks(blocks, times(x).astype(np.float32))
-    return float(np.linalg.norm(x, axis=0).max())
+        x = times_blocks(inverse.astype(np.float32), times(x).astype(np.float32))
+    return np.asarray(inverse * (_DAMPING / float(np.linalg.norm(x, axis=0).max())))
+
+
+def _block_diagonal(blocks: np.ndarray) -> bsr_matrix:
+    return bsr_matrix((blocks, np.arange(len(blocks)), np.arange(len(blocks) + 1)))
 
 
 def _own_blocks(matrix: bsr_matrix) -> np.ndarray:
@@ -241,17 +224,14 @@ class MultilevelPreconditioner:
     def field(self, theta: np.ndarray) -> np.ndarray:
         """θ [P, 3] -> x [4N, 3] float32."""
         fine, patches, regions = (theta[rows] for rows in self.levels)
-        coarse = self.aggregates.regions @ (self.coarse_factor @ regions)
-        x = self.aggregates.field(times_blocks(self._transposed[1], patches, onto=coarse))
+        x = self.aggregates.field(times_blocks(self._transposed[1], patches), self.coarse_factor @ regions)
         return times_blocks(self._transposed[0], fine, onto=x)
 
     def from_field(self, v: np.ndarray) -> np.ndarray:
         """The transpose of `field`: v [4N, 3] float32 -> [P, 3]."""
-        on_patches = self.aggregates.from_field(v)
-        on_regions = self.coarse_factor.T @ (self.aggregates.to_regions @ on_patches)
-        return np.concatenate(
-            [times_blocks(self.blocks, v), times_blocks(self.patch_blocks, on_patches), on_regions]
-        )
+        patches, regions = self.aggregates.from_field(v)
+        fine, patches = times_blocks(self.blocks, v), times_blocks(self.patch_blocks, patches)
+        return np.concatenate([fine, patches, self.coarse_factor.T @ regions])
 
     @cached_property
     def _transposed(self) -> tuple[np.ndarray, np.ndarray]:
@@ -279,15 +259,13 @@ class DiagonalEstimate:
         diagonal[:, 0] = per_gaussian[:, 0]
         # a rotation is half the curl
         diagonal[:, 1:] = per_gaussian[:, 1:] / (4 * aggregates.graph.mean_spacing**2)
-        patches, regions = aggregates.galerkin_of_diagonal(diagonal.ravel())
-        on_patches = [aggregates.from_field(aggregates.graph.from_motion(p)) for p in probes]
-        on_regions = [aggregates.to_regions @ v for v in on_patches]
-        own = np.einsum("nii->ni", patches)
-        roots = np.sqrt(_off_diagonal_factor(on_patches, own.ravel())).reshape(own.shape)
-        patches *= roots[:, :, None] * roots[:, None, :]
-        root = np.sqrt(_off_diagonal_factor(on_regions, regions.diagonal()))
-        regions *= root[:, None] * root
-        return DiagonalEstimate(float(per_gaussian[:, 0].mean()), diagonal.ravel(), Levels(patches, regions))
+        coarse = aggregates.galerkin(_block_diagonal(diagonal[..., None] * np.eye(ROWS)))
+        seen = [aggregates.from_field(aggregates.graph.from_motion(p)) for p in probes]
+        for blocks, of_level in zip(coarse, zip(*seen, strict=True), strict=True):
+            own = np.einsum("nii->ni", blocks)
+            root = np.sqrt(_off_diagonal_factor(of_level, own.ravel())).reshape(own.shape)
+            blocks *= root[:, :, None] * root[:, None]
+        return DiagonalEstimate(float(per_gaussian[:, 0].mean()), diagonal.ravel(), coarse)
 
 
 def _off_diagonal_factor(probes: Sequence[np.ndarray], diagonal: np.ndarray) -> np.ndarray:
@@ -337,7 +315,7 @@ def multilevel_preconditioner(
     each = zip(aggregates.stiffness, estimate.coarse, aggregates.gram, strict=True)
     patches, regions = (prior * stiffness + images + ridge * gram for stiffness, images, gram in each)
     of_patches = _block_roots(patches) if aggregates.has_patches else np.zeros(patches.shape, np.float32)
-    return MultilevelPreconditioner(_block_roots(blocks), aggregates, of_patches, _inverse_root(regions))
+    return MultilevelPreconditioner(_block_roots(blocks), aggregates, of_patches, _inverse_root(regions[0]))
 
 
 def _block_roots(blocks: np.ndarray) -> np.ndarray:
