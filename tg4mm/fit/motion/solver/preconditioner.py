@@ -40,17 +40,13 @@ PROBES = 8  # random pictures to estimate the diagonal of JᵀWJ: 50 % deviation
 _SHARED = 32.0
 
 
-# Of a symmetric matrix on fields what the coarse levels use of its Galerkin operators: the diagonal blocks [M, 4, 4] of
-# the patches, and all [1, 4G, 4G] of the regions, float64.
+# What is used of a matrix's Galerkin operators: blocks [M, 4, 4] on the diagonal of patches; all [1, 4G, 4G] of regions
 Levels = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
 class Aggregates:
-    """The prolongation of G regions: coarse fields [4G, 3] -> fields of M patches [4M, 3] -> fields [4N, 3].
-
-    Of a few Gaussians regions are not divided: M = G.
-    """
+    """The prolongation of G regions: fields [4G, 3] -> of M patches [4M, 3] -> [4N, 3]. M = G if N is small."""
 
     graph: NeighbourGraph
     tentative: bsr_matrix  # [4N, 4M] float32: of patches, before smoothing, one 4 × 4 block a Gaussian
@@ -224,7 +220,8 @@ class MultilevelPreconditioner:
     def field(self, theta: np.ndarray) -> np.ndarray:
         """θ [P, 3] -> x [4N, 3] float32."""
         fine, patches, regions = (theta[rows] for rows in self.levels)
-        x = self.aggregates.field(times_blocks(self._transposed[1], patches), self.coarse_factor @ regions)
+        patches, regions = times_blocks(self._transposed[1], patches), self.coarse_factor @ regions
+        x = self.aggregates.field(patches, regions)
         return times_blocks(self._transposed[0], fine, onto=x)
 
     def from_field(self, v: np.ndarray) -> np.ndarray:
@@ -318,11 +315,6 @@ def multilevel_preconditioner(
     return MultilevelPreconditioner(_block_roots(blocks), aggregates, of_patches, _inverse_root(regions[0]))
 
 
-def _block_roots(blocks: np.ndarray) -> np.ndarray:
-    """Return [n, 4, 4] float32: R with R Rᵀ the inverse of each of `blocks`."""
-    return np.ascontiguousarray(_inverse(np.linalg.cholesky(blocks)).transpose(0, 2, 1), np.float32)
-
-
 def _inverse_root(matrix: np.ndarray) -> np.ndarray:
     """R [P, P] float32 with R Rᵀ the inverse of a symmetric positive definite `matrix`.
 
@@ -345,14 +337,15 @@ def _inverse_lower(lower: torch.Tensor) -> torch.Tensor:
     return out
 
 
-def _inverse(lower: np.ndarray) -> np.ndarray:
-    """Invert lower triangular matrices [N, 4, 4] by forward substitution.
+def _block_roots(blocks: np.ndarray) -> np.ndarray:
+    """Return [n, 4, 4] float32: R with R Rᵀ the inverse of each of `blocks`.
 
-    An eighth of the time of a general inverse.
+    By forward substitution: an eighth of the time of a general inverse.
     """
+    lower = np.linalg.cholesky(blocks)
     out = np.zeros_like(lower)
     for i in range(ROWS):
         out[:, i, i] = 1 / lower[:, i, i]
         for j in range(i):
             out[:, i, j] = -out[:, i, i] * np.einsum("nk,nk->n", lower[:, i, j:i], out[:, j:i, j])
-    return out
+    return np.ascontiguousarray(out.transpose(0, 2, 1), np.float32)
