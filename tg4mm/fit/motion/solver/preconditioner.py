@@ -10,9 +10,8 @@ regions. A tentative coarse field is linear in space inside one region, which co
 elsewhere, which costs much at its border. Damped Jacobi steps of the prior's matrix smooth it.
 
 The more Gaussians a region has, the less these steps, each as wide as the neighbourhood of a Gaussian, do about its
-border. From 64 on regions are made of patches of 16 to 31 Gaussians: fields of patches are smoothed on Gaussians, and
-those of regions on patches, by the Galerkin operator of the prior there. Its blocks on the diagonal make the patches a
-level of their own, block Jacobi too. So iterations do not grow with the number of Gaussians.
+border. From 64 on regions are made of patches of 16 to 31 Gaussians: fields of patches are smoothed on Gaussians, those
+of regions on patches, by the prior's Galerkin operator there. Its diagonal blocks make the patches a level of their own.
 """
 
 from collections.abc import Callable, Sequence
@@ -220,8 +219,8 @@ class MultilevelPreconditioner:
     def field(self, theta: np.ndarray) -> np.ndarray:
         """θ [P, 3] -> x [4N, 3] float32."""
         fine, patches, regions = (theta[rows] for rows in self.levels)
-        patches, regions = times_blocks(self._transposed[1], patches), self.coarse_factor @ regions
-        x = self.aggregates.field(patches, regions)
+        patches = times_blocks(self._transposed[1], patches)
+        x = self.aggregates.field(patches, self.coarse_factor @ regions)
         return times_blocks(self._transposed[0], fine, onto=x)
 
     def from_field(self, v: np.ndarray) -> np.ndarray:
