@@ -37,9 +37,7 @@ _STEP = 0.02  # of the logarithm of the weight
 # noise is much smaller
 _WITHIN, _OF_EXPLAINED = 0.002, 0.02
 _FEW = 4  # iterations for the candidates: their order is settled by then
-_OF_PATCHES = (
-    2  # times as many with patches: of 24,000 Gaussians 4 chose too smooth a motion, 8 and more did not
-)
+_OF_PATCHES = 2  # times as many with patches: of 24,000 Gaussians 4 chose too smooth a motion, 8 did not
 _LOOSE = 30.0  # smoothness weight while noise is looked for: where much holds them together noise agrees too
 _FOR_NOISE = 2  # iterations; two to six give the same
 _MIN_RELIABILITY = 0.5  # below it a component is noise: more than half of its field

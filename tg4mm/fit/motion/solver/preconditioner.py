@@ -9,9 +9,9 @@ The coarse space is smoothed aggregation on the prior (Vaněk, Mandel & Brezina 
 regions. A tentative coarse field is linear in space inside one region, which costs the prior nothing there, and 0
 elsewhere, which costs much at its border. Damped Jacobi steps of the prior's matrix smooth it.
 
-The more Gaussians a region has, the less these steps, each as wide as the neighbourhood of a Gaussian, do about its
-border. From 64 on regions are made of patches of 16 to 31 Gaussians: fields of patches are smoothed on Gaussians, those
-of regions on patches, by the prior's Galerkin operator there. Its diagonal blocks make the patches a level of their own.
+Such steps are as wide as a Gaussian's neighbourhood, which does little for a large region. From 64 Gaussians on it is
+made of patches of 16 to 31: fields of patches are smoothed on Gaussians, those of regions on patches, by the prior's
+Galerkin operator there. Its blocks on the diagonal make the patches a level of their own.
 """
 
 from collections.abc import Callable, Sequence
@@ -230,9 +230,8 @@ class MultilevelPreconditioner:
         return np.concatenate([fine, patches, self.coarse_factor.T @ regions])
 
     @cached_property
-    def _transposed(self) -> tuple[np.ndarray, np.ndarray]:
-        fine, patches = (np.ascontiguousarray(b.transpose(0, 2, 1)) for b in (self.blocks, self.patch_blocks))
-        return fine, patches
+    def _transposed(self) -> list[np.ndarray]:
+        return [np.ascontiguousarray(b.transpose(0, 2, 1)) for b in (self.blocks, self.patch_blocks)]
 
 
 @dataclass(frozen=True)
