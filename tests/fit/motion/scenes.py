@@ -1,6 +1,8 @@
 """Clouds of Gaussians, their views, and the motion problem that they pose: what the motion stage's tests share."""
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from unittest import mock
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.nuisance.projection import nuisances_of
+from tg4mm.fit.motion.solver import preconditioner
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.space.view import EPS2D
 
@@ -21,6 +24,7 @@ SCENES = {
 }
 COLUMNS = {"displacement": slice(0, 3), "rotation": slice(3, 6), "both": slice(0, 6)}
 N = 40  # Gaussians of `problem`
+FEW = {"MOST": 1, "_LEAST": 5}  # in `preconditioner`: one region of eight patches of those
 
 
 @dataclass(frozen=True)
@@ -56,13 +60,14 @@ def two_cameras():
     return scene, [camera_of(scene, c) for c in (0, 1)]
 
 
-def problem(ridge=0.1, nuisance=None, mixed=False, supported=False):
+def problem(ridge=0.1, nuisance=None, mixed=False, supported=False, patches=False):
     """Two cameras look at one cloud; `nuisance`: columns that are projected out; `mixed`: two target images of three
-    fields; `supported`: each of these moves some of the Gaussians alone.
+    fields; `supported`: each of these moves some of the Gaussians alone; `patches`: regions are made of patches.
     """
     scene, cameras = two_cameras()
     gaussians, views = gaussians_of(scene), [view_of(scene, c) for c in (0, 1)]
-    out = Problem.of(views, gaussians, MotionConfig(ridge=ridge), "cpu")
+    with mock.patch.multiple(preconditioner, **FEW) if patches else nullcontext():
+        out = Problem.of(views, gaussians, MotionConfig(ridge=ridge), "cpu")
     if nuisance is not None:
         active = np.zeros(12, bool)
         active[nuisance] = True
@@ -91,7 +96,7 @@ def operator(p, smoothness=3.0, weighted=False):
 
 def draw(o, seed, count=1):
     """θ [count, P, 3]."""
-    n = 4 * len(o.preconditioner.blocks) + len(o.preconditioner.coarse_factor)
+    n = o.preconditioner.levels[-1].start + len(o.preconditioner.coarse_factor)
     return np.random.default_rng(seed).normal(size=(count, n, 3)).astype(np.float32)
 
 

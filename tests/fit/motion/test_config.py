@@ -1,20 +1,10 @@
-"""Settings of the motion stage: iterations by the number of Gaussians, and what is refused."""
+"""Settings of the motion stage: what is refused."""
 
 import pytest
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.motion import MotionConfig
-from tg4mm.fit.motion.config import more_iterations, resolved
-
-
-@pytest.mark.parametrize("n", [1, 9_000, 16_000])
-def test_up_to_16000_gaussians_take_what_is_set(n):
-    assert resolved(MotionConfig(iterations=9), n) == MotionConfig(iterations=9)
-
-
-def test_eight_times_as_many_take_four_times_as_many():
-    assert more_iterations(8 * 16_000) == pytest.approx(4)
-    assert resolved(MotionConfig(iterations=9), 8 * 16_000) == MotionConfig(iterations=36)
+from tg4mm.fit.motion.config import checked
 
 
 @pytest.mark.parametrize(
@@ -32,4 +22,4 @@ def test_eight_times_as_many_take_four_times_as_many():
 )
 def test_settings_out_of_range_are_refused(wrong, match):
     with pytest.raises(Tg4mmError, match=rf"\Asetting motion\.{match}[^\n]*\Z"):
-        resolved(MotionConfig(**wrong), 10**6)
+        checked(MotionConfig(**wrong))

@@ -164,7 +164,10 @@ class TestSmoothness:
 
         monkeypatch.setattr(hyperparameters, "few_iterations", fields_of)
         judge = SimpleNamespace(misfit=misfit)
-        posed = SimpleNamespace(operator=lambda fold, weight: judge if fold is FOLDS[1] else weight)
+        posed = SimpleNamespace(
+            operator=lambda fold, weight: judge if fold is FOLDS[1] else weight,
+            aggregates=SimpleNamespace(has_patches=False),
+        )
         found = chosen_weight(np.ones((CAMERAS, 1)), posed, FOLDS, 4)
         np.testing.assert_allclose(asked, LEAST * 10 ** (0.75 * np.arange(tried)))
         assert found == pytest.approx(asked[-1] if gain > 0 else LEAST)

@@ -26,6 +26,7 @@ FIELDS = 3
 ALL = slice(0, 12)
 KINDS = {
     "plain": {},
+    "patches": {"patches": True},
     "weighted": {"weighted": True},
     "nuisance": {"nuisance": ALL},
     "weighted nuisance": {"weighted": True, "nuisance": ALL},

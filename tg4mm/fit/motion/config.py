@@ -1,6 +1,6 @@
 """Settings of the motion stage, preset `modal`."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.magnification import check_band
@@ -9,7 +9,6 @@ from tg4mm.core.values import NOT_NEGATIVE, POSITIVE, SEED, Choice, Number, requ
 
 FASTEST = 1e9  # Hz, where the frame rate is not known yet
 MOST_REDUCED = 16
-_AS_CONFIGURED = 16_000  # Gaussians: up to so many the iterations are as they are set
 NUISANCE = ("auto", "none", "exposure", "all")
 _RULES = {
     "components": Number(1, 100_000),
@@ -35,10 +34,7 @@ class MotionConfig:
     )
     ridge: float = setting(1e-3, "weight that draws motion to zero where the images hold no information")
     iterations: int = setting(
-        14,
-        "largest number of iterations of conjugate gradients for each component, up to 16,000 Gaussians; "
-        "(N / 16,000)^⅔ times as many for N > 16,000",
-        "iterations",
+        14, "largest number of iterations of conjugate gradients for each component", "iterations"
     )
     tolerance: float = setting(3e-3, "relative residual at which conjugate gradients stop")
     split_half: bool = setting(
@@ -115,17 +111,3 @@ def asked_band(text: str, fps: float = FASTEST) -> tuple[float, float] | None:
             f"setting motion.band is {text[:60]!r}, expected two frequencies in Hz, LOW HIGH"
         ) from None
     return check_band((low, high), fps)
-
-
-def more_iterations(n_gaussians: int) -> float:
-    """Return the factor of iterations for so many Gaussians relative to 16,000, at least 1.
-
-    The coarse level of the preconditioner has the same number of aggregates for all scenes; the more Gaussians an
-    aggregate has, the more iterations its own shape takes.
-    """
-    return float(max(n_gaussians / _AS_CONFIGURED, 1.0) ** (2 / 3))
-
-
-def resolved(config: MotionConfig, n_gaussians: int) -> MotionConfig:
-    """The settings for so many Gaussians. Raises Tg4mmError on a value out of range."""
-    return replace(checked(config), iterations=round(config.iterations * more_iterations(n_gaussians)))

@@ -20,7 +20,6 @@ from scipy.ndimage import gaussian_filter
 
 from tg4mm.core.memory import release
 from tg4mm.core.progress import progress
-from tg4mm.fit.motion.config import more_iterations
 from tg4mm.fit.motion.solver.cpu import CpuOperator, SharedPass
 from tg4mm.fit.motion.solver.operator import Fold, Operator
 from tg4mm.fit.motion.solver.pcg import pcg
@@ -37,7 +36,8 @@ _STEP = 0.02  # of the logarithm of the weight
 # what a larger weight may predict worse: a part of the least error, and of what the best weight explains, which in
 # noise is much smaller
 _WITHIN, _OF_EXPLAINED = 0.002, 0.02
-_FEW = 4  # iterations for the candidates, of 16,000 Gaussians or fewer: their order is settled by then
+_FEW = 4  # iterations for the candidates: their order is settled by then
+_OF_PATCHES = 2  # times as many with patches: of 24,000 Gaussians 4 chose too smooth a motion, 8 did not
 _LOOSE = 30.0  # smoothness weight while noise is looked for: where much holds them together noise agrees too
 _FOR_NOISE = 2  # iterations; two to six give the same
 _MIN_RELIABILITY = 0.5  # below it a component is noise: more than half of its field
@@ -64,7 +64,7 @@ def select_smoothness(images: np.ndarray, problem: Problem, folds: Sequence[Fold
         return float(problem.config.smoothness_weight)
     if len(folds) == 1:
         return DEFAULT
-    return chosen_weight(images, problem, folds, round(_FEW * more_iterations(problem.n_gaussians)))
+    return chosen_weight(images, problem, folds, _FEW)
 
 
 def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:
@@ -106,7 +106,8 @@ def chosen_weight(images: np.ndarray, problem: Problem, folds: Sequence[Fold], i
 
     def fields_of(weights: Sequence[float]) -> list[np.ndarray]:
         operators = [problem.operator(some, value) for value in weights]
-        return few_iterations(operators, [images[v] for v in some.views], iterations)
+        count = iterations * (_OF_PATCHES if problem.aggregates.has_patches else 1)
+        return few_iterations(operators, [images[v] for v in some.views], count)
 
     def error(fields: np.ndarray) -> float:
         return judge.misfit(fields, (images[v] for v in others.views))

@@ -25,7 +25,6 @@ from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import moved
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, arrays_of, gaussians_of
-from tg4mm.fit.motion.config import more_iterations
 from tg4mm.fit.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
 from tg4mm.fit.motion.jacobian.view import VIEW_BYTES, ViewJacobian, pixels_moved, view_jacobian
 from tg4mm.fit.motion.large import iterated
@@ -417,8 +416,7 @@ class GaussNewton:
         if not self.config.smoothness_weight and len(self.folds) == 2:
             images = self.rest_targets(residuals, views, fields, range(len(views)))
             target = np.stack([of_view[:1].copy() for of_view in images])
-            iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
-            weight = chosen_weight(target, problem, self.folds, iterations)
+            weight = chosen_weight(target, problem, self.folds, _FOR_WEIGHT)
         points = linearisation_points(state.gaussians, views, fields, self.observed)
         solved = []
         for p, fold in enumerate(self.folds):

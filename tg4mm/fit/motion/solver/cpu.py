@@ -10,7 +10,7 @@ from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Projection
 from tg4mm.fit.motion.prior import NeighbourGraph
-from tg4mm.fit.motion.solver.preconditioner import TwoLevelPreconditioner
+from tg4mm.fit.motion.solver.preconditioner import MultilevelPreconditioner
 
 AT_ONCE = 8  # fields in a pass over a view: half the time of eight passes; more would only take more memory
 
@@ -21,7 +21,7 @@ class CpuOperator:
 
     views: Sequence[ViewJacobian]
     graph: NeighbourGraph
-    preconditioner: TwoLevelPreconditioner
+    preconditioner: MultilevelPreconditioner
     scale: float  # h
     smoothness_weight: float
     ridge: float

@@ -250,7 +250,10 @@ class DeviceOperator:
         self.views = [there.by_view[id(view)] for view in operator.views]
         pre = operator.preconditioner
         self.blocks = torch.from_numpy(pre.blocks).to(self.device)
+        self.patch_blocks = torch.from_numpy(pre.patch_blocks).to(self.device)
         self.aggregates = _Transposable.of(pre.aggregates.matrix.tocsr(), self.device)
+        self.regions = _Transposable.of(pre.aggregates.regions.tocsr(), self.device)
+        self.levels = pre.levels
         self.coarse_factor = torch.from_numpy(pre.coarse_factor).to(self.device)
         self.stiffness = _sparse(operator.graph.stiffness, self.device)
         self.weights = None if operator.weights is None else self._sent(operator.weights[..., None])
@@ -338,13 +341,19 @@ class DeviceOperator:
         return other
 
     def _field(self, theta: Tensor) -> Tensor:
-        fine = ROWS * len(self.blocks)
-        x = (self.blocks @ theta[:fine].reshape(-1, ROWS, 3)).reshape(-1, 3)
-        return x + self.aggregates.forward @ (self.coarse_factor @ theta[fine:])
+        fine, patches, regions = (theta[rows] for rows in self.levels)
+        coarse = self.regions.forward @ (self.coarse_factor @ regions)
+        on_patches = coarse + (self.patch_blocks @ patches.reshape(-1, ROWS, 3)).reshape(-1, 3)
+        x = (self.blocks @ fine.reshape(-1, ROWS, 3)).reshape(-1, 3)
+        return x + self.aggregates.forward @ on_patches
 
     def _from_field(self, v: Tensor) -> Tensor:
-        fine = (self.blocks.mT @ v.reshape(-1, ROWS, 3)).reshape(-1, 3)
-        return torch.cat([fine, self.coarse_factor.T @ (self.aggregates.back @ v)])
+        on_patches = self.aggregates.back @ v
+        fine, patches = (
+            (blocks.mT @ on.reshape(-1, ROWS, 3)).reshape(-1, 3)
+            for blocks, on in ((self.blocks, v), (self.patch_blocks, on_patches))
+        )
+        return torch.cat([fine, patches, self.coarse_factor.T @ (self.regions.back @ on_patches)])
 
     def _motion(self, x: Tensor) -> Tensor:
         f = x.reshape(-1, ROWS, 3)

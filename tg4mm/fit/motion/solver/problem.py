@@ -19,14 +19,14 @@ from tg4mm.fit.motion.solver.preconditioner import (
     Aggregates,
     DiagonalEstimate,
     aggregate,
+    multilevel_preconditioner,
     probe,
-    two_level_preconditioner,
 )
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Views, pixel weights, prior and coarse level; `operator` adds a fold and a smoothness weight."""
+    """Views, pixel weights, prior and coarse levels; `operator` adds a fold and a smoothness weight."""
 
     views: Sequence[ViewJacobian]
     gaussians: Gaussians
@@ -99,7 +99,7 @@ class Problem:
         prior, ridge = estimate.scale * smoothness_weight, estimate.scale * self.config.ridge
         preconditioner = self._once(
             ("preconditioner", probes, smoothness_weight),
-            lambda: two_level_preconditioner(self.aggregates, estimate, prior, ridge),
+            lambda: multilevel_preconditioner(self.aggregates, estimate, prior, ridge),
         )
         share = len(fold.views) / len(self.views)
         if fold.pixels is not None:

@@ -42,7 +42,6 @@ from tg4mm.fit.motion.temporal.sinusoidal import (
     SinusoidalModel,
     frequencies_of,
     frequency_figures,
-    labels_of,
     moving_camera_series,
     no_targets,
 )
@@ -266,7 +265,7 @@ def _series(
     times = np.array([f.times_s[0] for f in observations.frames])
 
     def compute() -> Arrays:
-        labels = labels_of(problem.aggregates)
+        labels = problem.aggregates.labels
         each = zip(observations.frames, problem.views, problem.projections or (), strict=True)
         models = [ObservationModel(*arguments) for arguments in each]
         return moving_camera_series(

@@ -29,7 +29,6 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.nuisance.fixed_cameras import FixedCameras
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations, PosedFrames, whole_pictures
-from tg4mm.fit.motion.solver.preconditioner import Aggregates
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.spectrum import constant_and_trend, polynomials, residual, sinusoids
 from tg4mm.fit.motion.split_half import reliability
@@ -238,7 +237,7 @@ class RegionSeries:
 
 def region_series(seen: FixedCameras, problem: Problem, checkpoint: Checkpoint) -> list[RegionSeries]:
     """Every fixed camera's region shifts."""
-    labels, out = labels_of(problem.aggregates), []
+    labels, out = problem.aggregates.labels, []
     with progress("region shifts", len(seen.views), "cameras") as update:
         for v, frames in enumerate(seen.observations.frames):
 
@@ -249,11 +248,6 @@ def region_series(seen: FixedCameras, problem: Problem, checkpoint: Checkpoint) 
             out.append(RegionSeries(frames.times_s, **checkpoint(Step.regions.numbered(v), compute)))
             update(v + 1)
     return out
-
-
-def labels_of(aggregates: Aggregates) -> np.ndarray:
-    """Return [N] int: the region of every Gaussian, the aggregates of the solver's coarse level."""
-    return np.asarray(aggregates.tentative.indices)
 
 
 def shift_series(model: ObservationModel, labels: np.ndarray, changes: Iterable[np.ndarray]) -> RegionSeries:
