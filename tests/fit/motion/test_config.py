@@ -1,10 +1,15 @@
-"""Settings of the motion stage: what is refused."""
+"""Settings of the motion stage: iterations by the number of Gaussians, and what is refused."""
 
 import pytest
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.motion import MotionConfig
-from tg4mm.fit.motion.config import checked
+from tg4mm.fit.motion.config import resolved
+
+
+@pytest.mark.parametrize(("n", "iterations"), [(1, 14), (16_000, 14), (17_000, 21), (10**6, 21)])
+def test_where_the_solver_has_patches_it_takes_half_as_many_iterations_again(n, iterations):
+    assert resolved(MotionConfig(iterations=14), n) == MotionConfig(iterations=iterations)
 
 
 @pytest.mark.parametrize(
@@ -22,4 +27,4 @@ from tg4mm.fit.motion.config import checked
 )
 def test_settings_out_of_range_are_refused(wrong, match):
     with pytest.raises(Tg4mmError, match=rf"\Asetting motion\.{match}[^\n]*\Z"):
-        checked(MotionConfig(**wrong))
+        resolved(MotionConfig(**wrong), 10**6)

@@ -13,7 +13,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.amplitude_bias import LACKING, Gain, PictureGain, gain_of
 from tg4mm.fit.motion.appearance import AppearanceFit, MotionResidual
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, no_checkpoint
-from tg4mm.fit.motion.config import MotionConfig, checked
+from tg4mm.fit.motion.config import MotionConfig, resolved
 from tg4mm.fit.motion.hyperparameters import (
     Hyperparameters,
     noise_components,
@@ -64,7 +64,7 @@ def fit_motion(
     device's memory is too small.
     """
     asked = config or MotionConfig()
-    settings = checked(asked)
+    settings = resolved(asked, len(gaussians))
     models = {
         Clock.synchronous: Synchronous.of,
         Clock.independent: IndependentClocks.of,
