@@ -102,7 +102,7 @@ def moved():
 @pytest.mark.parametrize(("alpha", "band"), [(0.0, None), (30.0, (2.0, 6.0)), (-1.0, None)])
 def test_poses_are_those_of_animate(moved, alpha, band):
     gaussians, motion = moved
-    pose = animator(gaussians, motion, packed=True)
+    pose = animator(gaussians, motion)
     own = alphas(motion, alpha, band)
     for t in (0.0, 7.3):
         exact, packed = animate(gaussians, motion, t, own), pose(t, own)
@@ -112,6 +112,6 @@ def test_poses_are_those_of_animate(moved, alpha, band):
 
 
 def test_shared_fields_are_held_once(moved):
-    fields, series = fields_on(torch.device("cpu"), moved[1], True)
+    fields, series = fields_on(torch.device("cpu"), moved[1])
     assert fields.shape == (R, 6 * MIXED)
     assert series.shape == (K, R)

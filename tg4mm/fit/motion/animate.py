@@ -11,7 +11,6 @@ from torch import Tensor
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion, apply_appearance, fields_of
 
-_DISPLAYED = 1e-5  # of the strongest field: weaker ones are left out of motion for display
 Alpha = float | np.ndarray  # one for all modes, or [K]: one each, as `Magnification.ideal` gives them
 
 
@@ -24,7 +23,8 @@ def mode_gains(motion: ModalMotion, t: float, alpha: Alpha) -> np.ndarray:
 
 
 def _sum(phasors: np.ndarray, gains: np.ndarray) -> np.ndarray:
-    return np.einsum("knc,k->nc", phasors.real, gains.real) - np.einsum("knc,k->nc", phasors.imag, gains.imag)
+    k, n = phasors.shape[:2]
+    return np.ascontiguousarray((gains.astype(np.complex64) @ phasors.reshape(k, 3 * n)).real).reshape(n, 3)
 
 
 def displacement_at(motion: ModalMotion, t: float, alpha: Alpha = 0.0) -> np.ndarray:
@@ -86,21 +86,18 @@ def _appearance_on(device: torch.device, motion: ModalMotion) -> Tensor | None:
     return None if motion.appearance is None else torch.from_numpy(motion.appearance.shapes).to(device)
 
 
-def animator(
-    gaussians: Gaussians, motion: ModalMotion | None, packed: bool = False
-) -> Callable[..., Gaussians]:
+def animator(gaussians: Gaussians, motion: ModalMotion | None) -> Callable[..., Gaussians]:
     """Return `animate` with this motion as a function of (t, alpha), for many timesteps.
 
-    On a GPU the phasors are sent once (K · N · 48 bytes, and the fields of appearance), for each timestep only the
-    gains. With `packed`, for display, the CPU keeps the few fields of which the phasors of all frequencies are sums, to
-    10⁻⁵ of the strongest: many times as fast for many frequencies.
+    It keeps the few fields of which the phasors of all frequencies are sums, and on a GPU sends them once: many times
+    as fast for many frequencies.
     Raises ValueError if the motion has another number of Gaussians.
     """
     device = gaussians.means.device
-    if motion is None or (device.type == "cpu" and not packed):
+    if motion is None:
         return partial(animate, gaussians, motion)
     _check_number(gaussians, motion)
-    fields, series = fields_on(device, motion, packed)
+    fields, series = fields_on(device, motion)
     appearance = _appearance_on(device, motion)
 
     def animated(t: float, alpha: Alpha = 0.0) -> Gaussians:
@@ -112,15 +109,7 @@ def animator(
     return animated
 
 
-def fields_on(device: torch.device, motion: ModalMotion, few: bool) -> tuple[Tensor, np.ndarray]:
-    """Return fields [R, 6 N] and series [K, R] whose product is the motion's phasors; `few` of them: to 10⁻⁵."""
-    if few and len(motion.displacement):
-        fields, series = fields_of(motion, _DISPLAYED)
-    else:
-        both, one = (
-            np.concatenate([motion.displacement, motion.rotation], 2),
-            np.eye(len(motion.displacement)),
-        )
-        fields = np.concatenate([both.real, both.imag]).astype(np.float32)
-        series = np.concatenate([one, 1j * one], 1)
+def fields_on(device: torch.device, motion: ModalMotion) -> tuple[Tensor, np.ndarray]:
+    """Return fields [R, 6 N] and series [K, R] whose product is the motion's phasors, to rounding."""
+    fields, series = fields_of(motion)
     return torch.from_numpy(fields.reshape(len(fields), 6 * fields.shape[1])).to(device), series

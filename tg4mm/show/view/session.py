@@ -41,7 +41,7 @@ class SceneRenderer:
 
     def __init__(self, scene: RunScene) -> None:
         self._scene = scene
-        self._pose = animator(scene.gaussians, scene.motion, packed=True)
+        self._pose = animator(scene.gaussians, scene.motion)
         self._lock = threading.Lock()
         self._coloured: tuple[tuple[Colour, Bands], Tensor | None] = (Colour.picture, ()), None
 
