@@ -88,16 +88,16 @@ class Aggregates:
 
     @cached_property
     def stiffness(self) -> Levels:
-        """Of the prior's matrix K."""
+        """Return `galerkin` of the prior's matrix K."""
         return self.galerkin(self.graph.blocks)
 
     @cached_property
     def gram(self) -> Levels:
-        """Of the unit matrix."""
+        """Return `galerkin` of the unit matrix."""
         return self.galerkin(_block_diagonal(np.tile(np.eye(ROWS), (len(self.smoother), 1, 1))))
 
     def galerkin(self, matrix: bsr_matrix) -> Levels:
-        """Of a matrix [4N, 4N]."""
+        """Return what levels use of the Galerkin operators of a matrix [4N, 4N]."""
         on_patches, regions = self._on_patches(matrix), self.regions.astype(np.float64)
         return _own_blocks(on_patches), (regions.T @ (on_patches @ regions)).toarray()[None]
 
