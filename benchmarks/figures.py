@@ -32,9 +32,9 @@ def number(form: str, value: float | None, half: float | None = None) -> str:
     return text if half is None else f"{text} ± {number(form, half)}"
 
 
-def dev_tables(results: Results) -> Made:
+def split_tables(results: Results, split: str) -> Made:
     """Closure and SSIM of every method over α, error and MAC of every set."""
-    return {"dev": over_alpha(results), "dev_sets": _by_set(results)}
+    return {split: over_alpha(results), f"{split}_sets": _by_set(results)}
 
 
 def bounds_table(text: str, group: str) -> Made:
@@ -154,7 +154,7 @@ def _times(value: float | None, factor: float) -> float | None:
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.json"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
-OPTIONS = dict.fromkeys(("--results", "--dev", "--rivals", "--bounds"), "") | {"--group": "dev"}
+OPTIONS = dict.fromkeys(("--results", "--dev", "--test", "--rivals", "--bounds"), "") | {"--group": "dev"}
 # of the motion, by key of `means.scalars`: title, format, factor
 _MOTION = {
     "displacement_error": ("error, %", "{:.1f}", 100),
@@ -238,8 +238,8 @@ def run(options: argparse.Namespace) -> None:
     figures = json.loads(FILE.read_text(encoding="utf-8"))
     if options.results:
         figures |= figures_of(_read(options.results))
-    if options.dev:
-        figures["tables"] = merged(figures["tables"], dev_tables(_read(options.dev)))
+    for split in [name for name in ("dev", "test") if vars(options)[name]]:
+        figures["tables"] = merged(figures["tables"], split_tables(_read(vars(options)[split]), split))
     if options.bounds:
         text = Path(options.bounds).read_text(encoding="utf-8")
         figures["tables"] = merged(figures["tables"], bounds_table(text, options.group))

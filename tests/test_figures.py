@@ -8,12 +8,12 @@ from benchmarks.figures import (
     FILE,
     PAGES,
     bounds_table,
-    dev_tables,
     figures_of,
     filled,
     merged,
     noise_plot,
     rivals_tables,
+    split_tables,
     tables,
 )
 from tg4mm.core.errors import Tg4mmError
@@ -65,7 +65,7 @@ def test_the_other_tables_are_of_results_too():
         "sets": [{"label": run["set"], "width": 256}],
         "runs": [run], "lines": lines, "means": group_means([run], groups), "line_means": line_means(lines, groups)
     }  # fmt: skip
-    made = dev_tables(results)
+    made = split_tables(results, "dev")
     assert made["dev"]["rows"][1:3] == [["`modal`", "0.90, .9520"], ["`linear-2d`", "0.90, .9520"]]
     assert made["dev_sets"]["rows"][:2] == [["mic 5 Hz", "5.8, .998"], ["mean", "5.8, .998"]]
     rivals = rivals_tables(results)
