@@ -81,9 +81,8 @@ def merged(old: Made, new: Made) -> Made:
 
 
 def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    header, rows = (list(dict.fromkeys(names)) for names in (
-        [*old["header"], *new["header"]], [row[0] for table in (old, new) for row in table["rows"]]
-    ))  # fmt: skip
+    header = list(dict.fromkeys([*old["header"], *new["header"]]))
+    rows = list(dict.fromkeys(row[0] for table in (old, new) for row in table["rows"]))
     cells = {
         (row[0], title): cell
         for table in (old, new)
@@ -96,9 +95,10 @@ def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
 
 def over_alpha(results: Results) -> dict[str, Any]:
     """Closure, with half of its 95 % interval, and SSIM of every row over α."""
-    means = sorted(results["line_means"], key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
-    alphas = sorted((a for a in means[0]["alphas"] if float(a) > 0), key=float)
-    rows, most = [], max(m["n_sets"] for m in means)
+    most = max((m["sets"] for m in results["line_means"]), key=len)  # other groups have other sizes
+    means = [m for m in results["line_means"] if set(m["sets"]) <= set(most)]
+    means.sort(key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
+    alphas, rows = sorted((a for a in means[0]["alphas"] if float(a) > 0), key=float), []
     for m in means:
         scores = ((m["alphas"][a], m.get("half", {}).get(a, {})) for a in alphas)
         cells = (
@@ -108,7 +108,7 @@ def over_alpha(results: Results) -> dict[str, Any]:
             )
             for pair in scores
         )
-        on = "" if m["n_sets"] == most else f", {m['n_sets']} of {most} sets"
+        on = "" if m["n_sets"] == len(most) else f", {m['n_sets']} of {len(most)} sets"
         rows.append([_named(m["row"]) + on, *(", ".join(filter(None, cell)) for cell in cells)])
     return {"header": ["closure, SSIM", *(f"α = {a}" for a in alphas)], "rows": rows}
 
@@ -130,7 +130,7 @@ def noise_plot(rows: list[list[str]], header: list[str]) -> str:
 
 
 def _by_set(results: Results) -> dict[str, Any]:
-    means = {m["row"]: m for m in results["means"]}
+    means = {m["row"]: m for m in sorted(results["means"], key=lambda m: m["n_sets"])}
     runs = {(run["set"], run["row"]): scalars(run) for run in results["runs"]}
     sets = dict.fromkeys(label for label, _ in runs)
     rows = [[_set_name(x), *(_error(runs.get((x, row), {})) for row in means)] for x in sets]

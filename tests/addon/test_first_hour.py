@@ -30,8 +30,8 @@ def cube(extension):
     return bpy.context.object
 
 
-def shown(told, cube):
-    return not (cube.hide_get() and cube.hide_render and told == ["Hid the start-up Cube, in the way"])
+def shown(reports, cube):
+    return not (cube.hide_get() and cube.hide_render and reports == ["Hid the start-up Cube, in the way"])
 
 
 def test_the_untouched_startup_cube_is_hidden_and_said(extension, splat_path, cube):

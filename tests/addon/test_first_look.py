@@ -151,9 +151,9 @@ def test_what_the_scene_needs_is_set_said_and_undone(automatic, splat_path):
     assert not blending.is_set_up(scene)
     assert blending.true_colours(scene) > 3
     assert blending.is_set_up(scene)
-    told = automatic.nodes.changes.listed(scene)
-    assert {"View transform: AgX → Standard", "Exposure: 1.5 → 0", "Cycles bounces: 8 → 1024"} <= set(told)
-    assert ("Cycles samples: 4 → 64" in told) == NATIVE
+    listed = automatic.nodes.changes.listed(scene)
+    assert {"View transform: AgX → Standard", "Exposure: 1.5 → 0", "Cycles bounces: 8 → 1024"} <= set(listed)
+    assert ("Cycles samples: 4 → 64" in listed) == NATIVE
     assert (scene.cycles.samples, scene.eevee.taa_render_samples) == ((64, 64) if NATIVE else (4, 16))
     assert blending.true_colours(scene) == 0
     bpy.ops.tg4mm.exact_look()

@@ -1,4 +1,4 @@
-"""Samples at uneven times are brought to an even clock; long gaps are told."""
+"""Samples at uneven times are brought to an even clock; long gaps are reported."""
 
 import numpy as np
 import pytest
@@ -43,5 +43,5 @@ def test_a_sample_that_lacks_is_not_taken_for_rounding(rate, decimals):
     assert even is None or np.abs(even - np.arange(500) / rate).max() <= 0.51 * 10.0**-decimals
     times = np.delete(whole, 250)
     assert unrounded(times) is None
-    if 2 * rate < 10**decimals:  # else the gap itself is hardly told
+    if 2 * rate < 10**decimals:  # else the gap itself hardly shows
         assert len(on_even_clock(times, times)[0]) == 500

@@ -29,7 +29,7 @@ FIRST_S = 300.0  # for the first, before which everything is imported and compil
 class Tally:
     """What became of one reader's inputs."""
 
-    read: int = 0  # accepted: the mutation did no harm, or none that can be told
+    read: int = 0  # accepted: the mutation did no harm, or none that is visible
     refused: int = 0
     faults: list[tuple[int, str]] = field(default_factory=list)  # number of the mutation, what happened
 

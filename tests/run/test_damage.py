@@ -1,4 +1,4 @@
-"""Damaged and hostile run files: a flipped bit is told, a wrong type or number is one line, a kill leaves nothing."""
+"""Damaged and hostile run files: a flipped bit is reported, a wrong type is one line, a kill leaves nothing."""
 
 import json
 import random

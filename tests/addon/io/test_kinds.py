@@ -64,9 +64,9 @@ def test_frequencies_that_were_lost_are_asked_for(extension, tmp_path):
     path.write_bytes(re.sub(rb"comment tg4mm .*\n", b"", path.read_bytes()))
     assert not extension.nodes.scene.moves(import_splat(path))
     assert extension.nodes.scene.moves(import_splat(path, frequencies="3, 5, 7.5"))
-    for text, told in (
+    for text, message in (
         ("3, five", "'five' is not a frequency; expected numbers of at least 0 in Hz"),
         ("3", "1 frequencies were given"),
     ):
-        with pytest.raises(RuntimeError, match=told):
+        with pytest.raises(RuntimeError, match=message):
             bpy.ops.import_scene.tg4mm_splat(filepath=str(path), frequencies=text)

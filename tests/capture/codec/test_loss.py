@@ -1,4 +1,4 @@
-"""What a codec takes from a known tone is told by the file alone, within its ±."""
+"""What a codec takes from a known tone is found from the file alone, within its ±."""
 
 import itertools
 import json

@@ -1,4 +1,4 @@
-"""How long rows take to be read: told by phases and by light, with a ± that is true, offered and never applied."""
+"""How long rows take to be read: found from phases and from light, with a correct ±, offered and never applied."""
 
 from dataclasses import replace
 

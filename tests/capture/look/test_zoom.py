@@ -1,4 +1,4 @@
-"""A camera's zoom and roll are told from its shift, from noise, and from a thing that moves."""
+"""A camera's zoom and roll are distinguished from its shift, from noise, and from a moving object."""
 
 import numpy as np
 import pytest

@@ -28,7 +28,7 @@ def fill(folder, n, shape=(6, 8)):
 
 
 def videos(folder, *names):
-    """Files that are videos by name; what lies on disk is told without opening them."""
+    """Files that are videos by name; the kind of input is found without opening them."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
         (folder / name).write_bytes(b"")

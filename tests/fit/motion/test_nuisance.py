@@ -1,6 +1,6 @@
 """What changes a whole picture is projected out: gain and offset exactly, the camera's own pose to first order.
 
-A camera that shakes is told from a scene that moves, and from noise.
+A camera that shakes is distinguished from a scene that moves and from noise.
 """
 
 from dataclasses import replace

@@ -182,8 +182,8 @@ def test_what_averaging_costs_is_told_by_the_texture(fineness, loss):
     data[..., :3] = (rest[None, ..., None] + rng.normal(0, 4, (n, height, width, 3))).round().clip(0, 255)
     capture, images = capture_of([0] * n, list(range(n)), data)
     note = note_on(capture, images, window_on(capture, MotionConfig(reduce="2")))
-    told = float(note.split("about ")[1].split(" times")[0])
-    assert told == pytest.approx(loss, rel=0.15)
+    stated = float(note.split("about ")[1].split(" times")[0])
+    assert stated == pytest.approx(loss, rel=0.15)
 
 
 def frames(readout_s=0.0):

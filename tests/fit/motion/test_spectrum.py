@@ -258,7 +258,7 @@ class TestNone:
         assert not found.trend
 
     def test_of_less_than_one_cycle(self):
-        """Not to be told from a drift and an offset."""
+        """It cannot be distinguished from a drift and an offset."""
         assert not len(find_sinusoids(functions(30, (0.6,))).cycles)
 
     @pytest.mark.parametrize("series", [np.zeros((2, 30)), np.zeros((0, 30)), np.ones((1, 30)), np.eye(3, 6)])

@@ -1,4 +1,4 @@
-"""Runs on generated pictures of exact motion: the floor stands still, the post and the ball move as they are told."""
+"""Runs on generated pictures of exact motion: the floor stands still, the post and the ball move as specified."""
 
 import json
 from collections.abc import Callable

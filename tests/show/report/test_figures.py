@@ -1,4 +1,4 @@
-"""Pictures, charts, colours and maps show the numbers that were put in; what a page is told stays text."""
+"""Pictures, charts, colours and maps show the numbers that were put in; text in a page stays text."""
 
 import numpy as np
 import pytest

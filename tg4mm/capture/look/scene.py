@@ -117,7 +117,7 @@ class CellScene:
     def patterns(self) -> tuple[int, ...]:
         """Periods of the frames' kinds; that of key frames too, if it is short and regular.
 
-        Empty if every frame is coded alone, but not where they may have been decoded.
+        Empty if all are key frames, unless they may come from a compressed video.
         """
         if (self.series.kinds == INTRA).all():
             return PATTERNS if self.may_be_decoded else ()
@@ -129,7 +129,7 @@ class CellScene:
 
     @property
     def may_be_decoded(self) -> bool:
-        """Return whether each frame is coded alone, but shows no noise at rest, as if another codec had repeated it."""
+        """Return whether the frames may come from a compressed video: all key frames, but without noise at rest."""
         return bool((self.series.kinds == INTRA).all()) and baseline_in(self.series).level <= QUANTISED
 
     @property
@@ -193,9 +193,9 @@ def find_masks(series: CellSeries, edges: np.ndarray | None = None) -> Masks:
 
     Their misfit stands out of the noise and is most of the change. A vibration leaves a misfit, too: an edge that
     covers the background, terms beyond the series of a shift, points between pixels. But this is a small share of the
-    change that its shift explains, however little noise there is. A codec can change most of what vibrates, but not
-    that neighbours move alike, as those of a wheel or of leaves do not. Where no noise is seen at rest, a codec has
-    repeated it, also if what it made was decoded and stored again as pictures or without loss.
+    change that its shift explains, however little noise there is. Compression may leave more, but neighbouring cells
+    of a vibrating part still move alike; those of a wheel or of leaves do not. Where rest shows no noise, a codec has
+    repeated pixels, perhaps before the film was decoded and stored again without loss.
     """
     grid, baseline = series.grid, baseline_in(series)
     own_change = np.maximum(series.change.mean(0) - baseline.noise, 0)
