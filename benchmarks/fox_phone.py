@@ -298,7 +298,7 @@ def load_subject(run: Run, truth: FoxTruth) -> tuple[ScoredRun, float]:
     gaussians = run.load_space()
     true = world.vectors_to_run(truth.phasors(world.to_truth(gaussians.means.numpy().astype(np.float64))))
     weights, duration_s = blending_weights(gaussians, capture), motion.n_timesteps / motion.fps
-    modes = np.asarray(motion.displacement)
+    modes = motion.displacement
     subject = ScoredRun(
         run, kind, gaussians, weights, motion.freqs_hz, modes, true, duration_s, world, camera
     )  # fmt: skip

@@ -65,7 +65,7 @@ def modes(run: Run, k: int) -> str:
     own = np.hypot(*(at[:, :2] / at[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2] - _CENTRES[k]).T) < _RADIUS
     rows = pixel_rows(means[own], viewmat, K, (WIDTH, HEIGHT))[0]
     m = fit.motion
-    motion = replace(m, displacement=m.displacement[:, own], rotation=m.rotation[:, own], appearance=None)
+    motion = replace(m, fields=m.fields[:, own], appearance=None)
     at_times = (displacement_at(motion, float(t)) for t in range(FRAMES))
     found = np.stack([np.einsum("nij,nj->ni", rows, moved) for moved in at_times])
     true = moves(k, np.arange(FRAMES) / FPS)

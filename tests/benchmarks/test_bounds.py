@@ -51,7 +51,7 @@ def test_least_squares_in_a_basis_meets_its_bound(scene):
     true = np.tensordot(rng.normal(size=len(basis)), basis, 1)[None].astype(np.float32)
     shape = views[0].transmittance.shape
     sd = 0.3 * np.sqrt(np.mean([view.jvp(true) ** 2 for view in views]))
-    nothing = ModalMotion(
+    nothing = ModalMotion.of_phasors(
         np.zeros(0), np.zeros((0, N, 3), np.complex64), np.zeros((0, N, 3), np.complex64), 30, 12
     )
     variances = np.full((CAMERAS, *shape), sd**2, np.float32)

@@ -138,7 +138,9 @@ def write_run(folder, dataset, truth, world, gain):
     modes = world.vectors_to_run(truth.phasors(truth.means))
     modes[0] *= gain
     freqs = np.array([F1, F2])
-    motion = ModalMotion(freqs, modes.astype(np.complex64), np.zeros((2, n, 3), np.complex64), FPS, T)
+    motion = ModalMotion.of_phasors(
+        freqs, modes.astype(np.complex64), np.zeros((2, n, 3), np.complex64), FPS, T
+    )
     run.save_motion(motion, {"clip_phases_deg": {"cam_00": {"3.4": 0.0}, "cam_01": {"3.4": np.degrees(1.0)}}})
     return run
 

@@ -70,7 +70,7 @@ def motion():
     rng = np.random.default_rng(1)
     displacement, rotation = rng.normal(size=(2, 2, N, 3)).astype(np.complex64)
     light = AppearanceModes(rng.normal(size=(1, N, 1, 3)).astype(np.float32), rng.normal(size=(2, 1)) + 0j)
-    return ModalMotion(np.array([0.0, 5.0]), displacement, rotation, 30.0, T, appearance=light)
+    return ModalMotion.of_phasors(np.array([0.0, 5.0]), displacement, rotation, 30.0, T, appearance=light)
 
 
 def run_of(name):

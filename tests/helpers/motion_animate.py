@@ -23,7 +23,7 @@ def motion(freqs: np.ndarray = FREQS, size: float = 0.1, seed: int = 1) -> Modal
     rng = np.random.default_rng(seed)
     real, imaginary = size * rng.normal(size=(2, 2, len(freqs), N, 3))
     displacement, rotation = (real + 1j * imaginary).astype(np.complex64)
-    return ModalMotion(freqs, displacement, rotation, FPS, 30)
+    return ModalMotion.of_phasors(freqs, displacement, rotation, FPS, 30)
 
 
 def alphas(motion, alpha, band=None):

@@ -25,7 +25,7 @@ def gaussians(n: int = 7, seed: int = 0) -> Gaussians:
 def modal(n: int = 7, k: int = 2) -> ModalMotion:
     rng = np.random.default_rng(1)
     draw = lambda: (rng.normal(size=(k, n, 3)) + 1j * rng.normal(size=(k, n, 3))).astype(np.complex64)  # noqa: E731
-    return ModalMotion(np.arange(1.0, k + 1), draw(), draw(), fps=30.0, n_timesteps=30)
+    return ModalMotion.of_phasors(np.arange(1.0, k + 1), draw(), draw(), fps=30.0, n_timesteps=30)
 
 
 def made_run(path: Path, dataset: Path, space: Gaussians, motion: ModalMotion | None, preset="modal") -> Run:

@@ -143,7 +143,23 @@ def _motion(
     parts: list[_Part], freqs: tuple[float, ...], amplitude: float, fps: float, n_timesteps: int
 ) -> ModalMotion:
     displacement = np.concatenate(_modes(parts, freqs, amplitude), axis=1)
-    return ModalMotion(np.asarray(freqs, float), displacement, np.zeros_like(displacement), fps, n_timesteps)
+    return ModalMotion.of_phasors(
+        np.asarray(freqs, float), displacement, np.zeros_like(displacement), fps, n_timesteps
+    )
+
+
+def with_phasors(motion, displacement=None, rotation=None, freqs_hz=None):
+    """The motion with other phasors [K, N, 3], or of other frequencies."""
+    return ModalMotion.of_phasors(
+        motion.freqs_hz if freqs_hz is None else freqs_hz,
+        motion.displacement if displacement is None else displacement,
+        motion.rotation if rotation is None else rotation,
+        motion.fps,
+        motion.n_timesteps,
+        motion.gains,
+        motion.magnified,
+        motion.appearance,
+    )
 
 
 def _modes(parts: list[_Part], freqs: tuple[float, ...], amplitude: float) -> list[np.ndarray]:

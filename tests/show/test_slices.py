@@ -52,7 +52,7 @@ def test_the_spectrum_is_the_weighted_mean_amplitude():
     displacement = np.zeros((2, 3, 3), np.complex64)
     displacement[0, 0] = [0, 3e-3j, 4e-3]  # length 5e-3
     displacement[1] = 1e-3
-    motion = ModalMotion(np.array([5.0, 3.0]), displacement, np.zeros_like(displacement), FPS, T)
+    motion = ModalMotion.of_phasors(np.array([5.0, 3.0]), displacement, np.zeros_like(displacement), FPS, T)
     frequencies, amplitude = amplitude_spectrum(motion, np.array([1.0, 3.0, 0.0]))
     np.testing.assert_array_equal(frequencies, [3.0, 5.0])
     np.testing.assert_allclose(amplitude, [np.sqrt(3) * 1e-3, 5e-3 / 4], rtol=1e-6)

@@ -36,7 +36,6 @@ from torch import Tensor
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.magnification import Magnification, apply_response
 from tg4mm.core.phasors import series_modes
-from tg4mm.fit.motion.animate import displacement_at, mode_gains, rotation_at
 from tg4mm.fit.motion.modes import ModalMotion
 
 SMALLEST = 16  # below, "auto" leaves less than two scales
@@ -58,22 +57,17 @@ def magnified_motion(motion: ModalMotion, plan: Magnification) -> ModalMotion:
     With ideal bands and modes on DFT bins this is multiplying the phasors, what `modal` does. Modes between the bins
     spread over them, and are magnified as far as they lie in the band.
     """
-    steps = range(motion.n_timesteps)
-    series = np.stack(
-        [np.concatenate([displacement_at(motion, t), rotation_at(motion, t)], 1) for t in steps]
-    )
-    freqs, phasors = series_modes(series, motion.fps)
-    factors = 1 + plan.response(freqs, motion.fps)
-    phasors = phasors * factors.astype(np.complex64)[:, None, None]
+    gains = np.stack([motion.gains_at(t) for t in range(motion.n_timesteps)])
+
+    def filtered(series: np.ndarray) -> np.ndarray:
+        freqs, phasors = series_modes((gains @ series).real, motion.fps)
+        return phasors.astype(np.complex128) * (1 + plan.response(freqs, motion.fps))[:, None]
+
+    series, freqs = filtered(motion.series), np.fft.rfftfreq(motion.n_timesteps, 1 / motion.fps)
     appearance = motion.appearance
     if appearance is not None:
-        values = np.stack([appearance.coefficients(mode_gains(motion, t, 0.0)) for t in steps])
-        series = series_modes(values, motion.fps)[1].astype(np.complex128)
-        appearance = replace(appearance, series=series * factors[:, None])
-    return replace(
-        motion, freqs_hz=freqs, displacement=phasors[..., :3], rotation=phasors[..., 3:],
-        gains=None, magnified=None, appearance=appearance,
-    )  # fmt: skip
+        appearance = replace(appearance, series=filtered(appearance.series))
+    return replace(motion, freqs_hz=freqs, series=series, gains=None, magnified=None, appearance=appearance)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 The kernels trust the shapes of their arrays, and a time of NaN would be a wrong result in silence. All raise RunError
 with the file, what was found and what was expected.
 
-Of most runs the phasors of all K modes are R < 2K real fields (`fields_of` of `motion/modes.py`). Then
+Of most runs the phasors of all K modes are sums of R < 2K real fields. Then
 RUN/motion.safetensors holds `fields` [R, N, 6] float32 and `series` [K, R] complex128, 24 bytes for a Gaussian and
 field where the phasors take 48 for a Gaussian and mode. Else it holds `displacement` and `rotation`, [K, N, 3]
 complex64.
@@ -21,7 +21,6 @@ from tg4mm.core.errors import RunError
 from tg4mm.core.values import Number, require
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import AppearanceModes, ModalMotion, fields_of
-from tg4mm.fit.motion.spectrum import apply_series
 
 GAUSSIANS = dict.fromkeys(("means", "quats", "scales", "opacities", "sh"), torch.float32)
 LIGHT = {"light_shapes": torch.float32, "light_series": torch.complex128}  # of a motion, both or none
@@ -31,7 +30,6 @@ FIELDS = {"fields": torch.float32, "series": torch.complex128}
 _NUMBERS = {torch.float32, torch.float64, torch.complex64, torch.complex128}
 _FASTEST = 1e9  # Hz
 _LONGEST = 1_000_000  # timesteps: nine hours at 30 Hz
-_MOST_BYTES = 32 << 30  # of phasors: a small file can name many modes
 
 
 def check_finite(file: Path, tensors: Mapping[str, Tensor], also: Collection[torch.dtype] = ()) -> None:
@@ -125,15 +123,16 @@ def check_uncertainty(file: Path, tensors: Mapping[str, Tensor], n: int) -> None
 def tensors_of(motion: ModalMotion) -> dict[str, Tensor]:
     """Return the file's tensors."""
     tensors = {"freqs_hz": torch.tensor(np.asarray(motion.freqs_hz, dtype=np.float64))}
-    fields, series = fields_of(motion)
-    if len(fields) < 2 * len(motion.freqs_hz):
-        tensors |= {"fields": torch.from_numpy(fields), "series": torch.from_numpy(series)}
-    else:
-        for name in PHASORS:
-            tensors[name] = torch.from_numpy(np.asarray(getattr(motion, name), dtype=np.complex64))
+    fields, series = motion.fields, motion.series
+    if len(fields) >= 2 * len(series):
+        fields, series = fields_of(motion)
+    values = {"fields": fields, "series": series}
+    if len(fields) >= 2 * len(series):
+        values = {"displacement": motion.displacement, "rotation": motion.rotation}
+    tensors |= {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in values.items()}
     if (appearance := motion.appearance) is not None:
-        values = appearance.shapes.astype(np.float32), appearance.series.astype(np.complex128)
-        tensors |= {k: torch.from_numpy(v) for k, v in zip(LIGHT, values, strict=True)}
+        light = appearance.shapes.astype(np.float32), appearance.series.astype(np.complex128)
+        tensors |= {k: torch.from_numpy(v) for k, v in zip(LIGHT, light, strict=True)}
     return tensors
 
 
@@ -143,23 +142,11 @@ def motion_of(file: Path, tensors: Mapping[str, Tensor], clock: tuple[float, int
     check_tensors(file, tensors, {"freqs_hz": torch.float64, **kind}, LIGHT)
     check_frequencies(file, tensors["freqs_hz"])
     arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
-    freqs = arrays["freqs_hz"]
-    if kind is FIELDS:
-        both = _applied(file, arrays["fields"], arrays["series"], len(freqs))
-        shifts, turns = np.ascontiguousarray(both[..., :3]), np.ascontiguousarray(both[..., 3:])
-    else:
-        shifts, turns = arrays["displacement"], arrays["rotation"]
     appearance = AppearanceModes(*(arrays[name] for name in LIGHT)) if set(LIGHT) <= set(arrays) else None
-    return ModalMotion(freqs, shifts, turns, *clock, appearance=appearance)
-
-
-def _applied(file: Path, fields: np.ndarray, series: np.ndarray, n_modes: int) -> np.ndarray:
-    """Return [K, N, 6] complex64."""
-    if fields.ndim != 3 or fields.shape[2] != 6 or series.shape != (n_modes, len(fields)):
-        raise RunError(
-            f"{file}: fields {fields.shape} and series {series.shape}, expected [R, N, 6] and [{n_modes}, R]"
-        )
-    size = 48 * n_modes * fields.shape[1]
-    if size > _MOST_BYTES:
-        raise RunError(f"{file}: {n_modes} modes of {fields.shape[1]} Gaussians would take {size >> 30} GiB")
-    return apply_series(series, fields)
+    freqs, (fps, n_timesteps) = arrays["freqs_hz"], clock
+    first, second = (arrays[name] for name in kind)
+    make = ModalMotion if kind is FIELDS else ModalMotion.of_phasors
+    try:
+        return make(freqs, first, second, fps, n_timesteps, appearance=appearance)
+    except ValueError as error:
+        raise RunError(f"{file}: {error}") from None

@@ -153,20 +153,17 @@ class Run:
     def _check_motion(self, motion: ModalMotion, name: str) -> None:
         gaussians = self.load_space()
         n = len(gaussians)
-        expected = (len(motion.freqs_hz), n, 3)
-        for field in ("displacement", "rotation"):
-            shape = getattr(motion, field).shape
-            if shape != expected:
-                raise RunError(
-                    f"{name}: {field} has shape {shape}, expected {expected}: "
-                    f"{expected[0]} frequencies of the {n} Gaussians in {self._file('space')}"
-                )
+        if motion.n_gaussians != n:
+            raise RunError(
+                f"{name}: a motion of {motion.n_gaussians} Gaussians, expected the {n} in {self._file('space')}"
+            )
+        k = len(motion.freqs_hz)
         light, sh = motion.appearance, gaussians.sh.shape
-        if light is not None and not light.fits(expected[0], sh):
+        if light is not None and not light.fits(k, sh):
             raise RunError(
                 f"{name}: light has shapes {light.shapes.shape} {light.shapes.dtype} and series {light.series.shape} "
                 f"{light.series.dtype}, expected [R, {n}, 1 or 4 (at most {sh[1]}), 3] float32 and "
-                f"[{expected[0]}, R] complex128"
+                f"[{k}, R] complex128"
             )
 
     # Parts: further results of a preset, bound to this run's settings.
@@ -424,7 +421,9 @@ class SplatRun(Run):
         splat = self.splat
         if not splat.n_modes:
             return None
-        return ModalMotion(splat.freqs_hz, splat.displacement, splat.rotation, splat.fps, splat.n_timesteps)
+        return ModalMotion.of_phasors(
+            splat.freqs_hz, splat.displacement, splat.rotation, splat.fps, splat.n_timesteps
+        )
 
 
 def open_run(path: Path, freqs_hz: Sequence[float] = (), fps: float = 30.0) -> Run:

@@ -73,7 +73,7 @@ def leading_modes(
     At most `most`, each with an rms of at least half the strongest one's. Frequencies with less than a cycle in the
     capture (drift, 0 Hz) count only if there are no others in the band.
     """
-    rms = np.sqrt(np.einsum("knc,n->k", np.abs(motion.displacement) ** 2, weights))
+    rms = np.sqrt(motion.powers(weights))
     inside = magnified.inside(motion.freqs_hz)
     cyclic = inside & (motion.freqs_hz * motion.n_timesteps > (1 - 1e-9) * motion.fps)
     rms = np.where(cyclic if cyclic.any() else inside, rms, -1.0)
@@ -95,7 +95,7 @@ def motion_maps(
     gaussians: Gaussians, motion: ModalMotion, k: int, direction: np.ndarray, camera: Camera
 ) -> MotionMaps:
     """Render amplitude and phase of frequency `k` from `camera`, blended over Gaussians as colours are."""
-    phasors = motion.displacement[k]
+    phasors = motion.displacement_of(k)
     features = np.concatenate([phasors.real, phasors.imag], axis=1).astype(np.float32)
     blended, opacity = render_features(gaussians, features, camera)
     seen = blended[..., :3] + 1j * blended[..., 3:]
@@ -108,12 +108,17 @@ def uncertainty_map(gaussians: Gaussians, deviation: np.ndarray, camera: Camera)
     return blended[..., 0]
 
 
-def image_motion(gaussians: Gaussians, phasors: np.ndarray, weights: np.ndarray, camera: Camera) -> float:
-    """Return the weighted rms, in pixels, of the motion [N, 3] across the picture of `camera`, of Gaussians in view."""
+def image_motion(
+    gaussians: Gaussians, motion: ModalMotion, weights: np.ndarray, camera: Camera
+) -> np.ndarray:
+    """Return each mode's weighted rms [K], pixels, across the picture of `camera`, of Gaussians in view."""
     size = camera.width, camera.height
     rows, inside = pixel_rows(gaussians.means.cpu().numpy(), camera.viewmat, camera.K, size)
-    used, power = weights * inside, (np.abs(np.einsum("nab,nb->na", rows, phasors)) ** 2).sum(1)
-    return float(np.sqrt((used * power).sum() / max(used.sum(), 1e-12)))
+    used = weights * inside
+    moved = np.einsum("nab,rnb->rna", rows, motion.fields[..., :3])
+    products = np.tensordot(moved * used[:, None], moved, axes=([1, 2], [1, 2]))
+    power = np.einsum("kr,rs,ks->k", motion.series, products, motion.series.conj()).real
+    return np.asarray(np.sqrt(np.maximum(power, 0) / max(used.sum(), 1e-12)))
 
 
 def middle_depth(means: np.ndarray, weights: np.ndarray, camera: Camera) -> float:
@@ -196,17 +201,17 @@ def amplitude_spectrum(
     The length of a phasor vector is sqrt(Σ |component|²): for motion along a line, the peak displacement.
     `weights` [N] ≥ 0, all 1 if None. Sorted by frequency. Raises ValueError if the weights do not fit.
     """
-    length = np.stack(
-        [np.linalg.norm(u.astype(np.complex128), axis=1) for u in motion.displacement]
-    )  # [K, N]
-    weights = np.ones(length.shape[1]) if weights is None else np.asarray(weights, dtype=np.float64)
-    if weights.shape != length.shape[1:]:
-        raise ValueError(f"weights have shape {weights.shape}, expected {length.shape[1:]}")
+    n, modes = motion.n_gaussians, range(len(motion.freqs_hz))
+    weights = np.ones(n) if weights is None else np.asarray(weights, dtype=np.float64)
+    if weights.shape != (n,):
+        raise ValueError(f"weights have shape {weights.shape}, expected {(n,)}")
     total = weights.sum()
     if not (total > 0 and (weights >= 0).all()):
         raise ValueError(f"weights must be ≥ 0 and not all 0; their sum is {total:g}")
+    lengths = (np.linalg.norm(motion.displacement_of(k).astype(np.complex128), axis=1) for k in modes)
+    amplitude = np.array([length @ weights / total for length in lengths])
     order = np.argsort(motion.freqs_hz, kind="stable")
-    return np.asarray(motion.freqs_hz, dtype=np.float64)[order], (length @ weights / total)[order]
+    return np.asarray(motion.freqs_hz, dtype=np.float64)[order], amplitude[order]
 
 
 def _check_video(video: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ def motion(freqs, n_timesteps, seed=0):
     rng = np.random.default_rng(seed)
     shape = (2, len(freqs), 7, 3)
     phasors = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
-    return ModalMotion(np.array(freqs), phasors[0], 0.1 * phasors[1], FPS, n_timesteps)
+    return ModalMotion.of_phasors(np.array(freqs), phasors[0], 0.1 * phasors[1], FPS, n_timesteps)
 
 
 @pytest.mark.parametrize("n", [30, 45, 60])

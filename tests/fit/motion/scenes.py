@@ -108,4 +108,4 @@ def of_amplitudes(amplitudes, freqs, n=50):
     """Each mode moves all Gaussians along x by its amplitude."""
     displacement = np.zeros((len(freqs), n, 3), np.complex64)
     displacement[..., 0] = np.array(amplitudes)[:, None]
-    return ModalMotion(np.array(freqs), displacement, np.zeros_like(displacement), 30.0, 30)
+    return ModalMotion.of_phasors(np.array(freqs), displacement, np.zeros_like(displacement), 30.0, 30)

@@ -8,17 +8,18 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from tests.helpers.motion_animate import FPS, N, alphas, gaussians, motion
+from tests.helpers.synthetic import with_phasors
 from tg4mm.core.splatfile import SplatFile, positions_at, rotations_at
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.animate import animate, animator, fields_on, rotated
-from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.motion.animate import animate, animator, rotated
+from tg4mm.fit.motion.modes import ModalMotion, fields_of
 
 TIMES = (0, 1, 7, 12.5)
 MIXED, K, R = 300, 24, 3
 
 
 def one(m, k):
-    return replace(m, freqs_hz=m.freqs_hz[[k]], displacement=m.displacement[[k]], rotation=m.rotation[[k]])
+    return m.selected(np.arange(len(m.freqs_hz)) == k)
 
 
 class TestRotated:
@@ -71,7 +72,7 @@ class TestMoved:
 
         g, m = gaussians(torch.float64), motion()
         alpha = alphas(m, 20.0, (4, 6))
-        other = replace(m, displacement=turned(m.displacement), rotation=turned(m.rotation))
+        other = with_phasors(m, displacement=turned(m.displacement), rotation=turned(m.rotation))
         one, two = placed(animate(g, m, 7, alpha)), animate(placed(g), other, 7, alpha)
         np.testing.assert_allclose(one.means, two.means, atol=1e-5)
         same = Rotation.from_quat(one.quats.numpy()[:, [1, 2, 3, 0]])
@@ -79,7 +80,7 @@ class TestMoved:
 
     def test_a_motion_of_other_gaussians_is_refused(self):
         m = motion()
-        m = replace(m, displacement=m.displacement[:, :-1], rotation=m.rotation[:, :-1])
+        m = with_phasors(m, displacement=m.displacement[:, :-1], rotation=m.rotation[:, :-1])
         with pytest.raises(ValueError, match="the motion has 19 Gaussians, the scene 20"):
             animate(gaussians(), m, 0)
 
@@ -95,23 +96,47 @@ def moved():
         for s in ((MIXED, 3), (MIXED, 4), (MIXED, 3), (MIXED,), (MIXED, 1, 3))
     ]
     phasors = mixed.astype(np.complex64)
-    motion = ModalMotion(np.linspace(0.5, 14, K), phasors[..., :3], phasors[..., 3:], 30.0, 60)
-    return Gaussians(*tensors), motion
+    motion = ModalMotion.of_phasors(np.linspace(0.5, 14, K), phasors[..., :3], phasors[..., 3:], 30.0, 60)
+    return Gaussians(*tensors), motion, phasors
 
 
 @pytest.mark.parametrize(("alpha", "band"), [(0.0, None), (30.0, (2.0, 6.0)), (-1.0, None)])
-def test_poses_are_those_of_animate(moved, alpha, band):
-    gaussians, motion = moved
+def test_poses_are_the_sums_of_the_phasors(moved, alpha, band):
+    gaussians, motion, phasors = moved
     pose = animator(gaussians, motion)
     own = alphas(motion, alpha, band)
     for t in (0.0, 7.3):
-        exact, packed = animate(gaussians, motion, t, own), pose(t, own)
-        size = float((exact.means - gaussians.means).abs().max()) + 1e-3
-        assert float((packed.means - exact.means).abs().max()) < 1e-4 * size
-        assert float((packed.quats - exact.quats).abs().max()) < 1e-4
+        turns = (1 + own) * np.exp(2j * np.pi * motion.freqs_hz * t / motion.fps)
+        change = torch.from_numpy(np.einsum("k,knc->nc", turns, phasors).real.astype(np.float32))
+        found = pose(t, own)
+        size = float(change[:, :3].abs().max()) + 1e-3
+        assert float((found.means - gaussians.means - change[:, :3]).abs().max()) < 1e-4 * size
+        assert float((found.quats - rotated(gaussians.quats, change[:, 3:])).abs().max()) < 1e-4
 
 
 def test_shared_fields_are_held_once(moved):
-    fields, series = fields_on(torch.device("cpu"), moved[1])
-    assert fields.shape == (R, 6 * MIXED)
+    """Displacement and rotation, which differ by a factor of 100, both to the digits of float32."""
+    _, motion, phasors = moved
+    fields, series = fields_of(motion)
+    assert fields.shape == (R, MIXED, 6)
     assert series.shape == (K, R)
+    for part in (slice(0, 3), slice(3, 6)):
+        again = np.tensordot(series, fields[..., part], axes=1)
+        np.testing.assert_allclose(again, phasors[..., part], atol=1e-6 * np.abs(phasors[..., part]).max())
+
+
+def test_modes_are_the_same_from_few_fields_as_from_their_phasors(moved):
+    _, of_phasors, phasors = moved
+    fields, series = fields_of(of_phasors)
+    few = replace(of_phasors, fields=fields, series=series)
+    weights = np.random.default_rng(3).uniform(size=MIXED)
+    size = np.abs(phasors[..., :3]).max()
+    for one_form in (of_phasors, few):
+        np.testing.assert_allclose(one_form.displacement, phasors[..., :3], atol=1e-6 * size)
+        np.testing.assert_allclose(one_form.displacement_of(4), phasors[4, :, :3], atol=1e-6 * size)
+        np.testing.assert_allclose(one_form.rotation_of(4), phasors[4, :, 3:], atol=1e-4 * size)
+        power = np.einsum("knc,n->k", np.abs(phasors[..., :3].astype(complex)) ** 2, weights)
+        np.testing.assert_allclose(one_form.powers(weights), power, rtol=1e-5)
+        some = one_form.selected(np.arange(K) < 2)
+        np.testing.assert_allclose(some.rotation, phasors[:2, :, 3:], atol=1e-4 * size)
+    assert len(few.selected(np.arange(K) < 0).fields) == 0

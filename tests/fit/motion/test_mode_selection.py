@@ -21,7 +21,7 @@ def observed(fps, n_frames=90):
 
 def moving(hz, size):
     displacement = np.array(size)[:, None, None] * np.ones((1, 5, 3), np.complex64)
-    return ModalMotion(np.array(hz), displacement.astype(np.complex64), 0 * displacement, 30.0, 90)
+    return ModalMotion.of_phasors(np.array(hz), displacement.astype(np.complex64), 0 * displacement, 30.0, 90)
 
 
 def test_peaks_are_by_falling_strength_and_no_weaker_than_three_percent():

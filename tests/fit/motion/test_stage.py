@@ -13,7 +13,7 @@ from tests.helpers import synthetic
 from tests.helpers.motion_stage import NEVER, same_motion, stop_after
 from tests.helpers.runs import copied
 from tests.helpers.space_train import Killed
-from tests.helpers.synthetic import exact_run
+from tests.helpers.synthetic import exact_run, with_phasors
 from tg4mm.capture import ImageStack, load_capture, load_images
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.fit.motion import MotionConfig
@@ -86,7 +86,7 @@ def test_the_displacement_is_found(scene, fitted):
         assert row["direction_error_deg"] < 5
         assert abs(row["phase_error_deg"]) < 3
     for factor in (0.0, 0.5):  # what the thresholds are there to tell apart
-        less = replace(true, displacement=np.complex64(factor) * true.displacement)
+        less = with_phasors(true, displacement=np.complex64(factor) * true.displacement)
         assert displacement_figures(less, true, weights)["relative_error"] > 0.2
 
 

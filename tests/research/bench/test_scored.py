@@ -2,13 +2,12 @@
 
 import shutil
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset, with_phasors
 from tg4mm.capture import load_capture
 from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.core.metrics import ssim_map
@@ -172,7 +171,7 @@ def test_the_true_motion_is_observed(scene):
 def test_a_motion_that_the_pictures_do_not_show_is_not(scene):
     """As of a mirror: the surface moves, what is seen in it does not, or moves otherwise."""
     gaussians, motion, data = scene
-    late = replace(motion, displacement=motion.displacement * 1j)  # a quarter of a period
+    late = with_phasors(motion, displacement=motion.displacement * 1j)  # a quarter of a period
     assert (agreement(gaussians, late, data)[moving(motion)] >= AGREES).mean() < 0.1
 
 
@@ -183,7 +182,9 @@ def test_errors_of_what_is_not_observed_do_not_count(scene, monkeypatch):
     seen = np.zeros(len(gaussians), bool)
     seen[np.flatnonzero(moving(motion))[::2]] = True
     monkeypatch.setattr("tg4mm.research.bench.measure.agreement", lambda *_: np.where(seen, 1.0, 0.0))
-    estimated = replace(motion, displacement=motion.displacement * np.where(seen, 1.0, 0.6)[None, :, None])
+    estimated = with_phasors(
+        motion, displacement=motion.displacement * np.where(seen, 1.0, 0.6)[None, :, None]
+    )
     subject = Subject(gaussians, estimated, motion, None, AS_CAPTURED, False, None)
     found = observed_figures(subject, data, train)
     weights = blending_weights(gaussians, train) * (rms_motion(motion) > 0.01 * rms_motion(motion).max())

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.helpers.synthetic import with_phasors
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.evaluate.displacement import displacement_figures, frequency_figures
 from tg4mm.research.evaluate.scores import uncertainty_figures, unresolved
@@ -15,7 +16,9 @@ MANY = 400
 
 def motion(modes, fps=FPS, n_timesteps=T):
     displacement = np.stack(list(modes.values())).astype(np.complex64)
-    return ModalMotion(np.array(list(modes)), displacement, np.zeros_like(displacement), fps, n_timesteps)
+    return ModalMotion.of_phasors(
+        np.array(list(modes)), displacement, np.zeros_like(displacement), fps, n_timesteps
+    )
 
 
 @pytest.fixture
@@ -31,7 +34,7 @@ def true(rng):
 def test_a_phase_error_is_found_with_its_sign(true):
     """Shifted by φ, a sinusoid is off by 2 sin(φ/2) of its rms."""
     phi = np.radians(18)
-    late = replace(true, displacement=np.exp(1j * phi) * true.displacement)
+    late = with_phasors(true, displacement=np.exp(1j * phi) * true.displacement)
     figures = displacement_figures(late, true, np.ones(N))
     assert figures["relative_error"] == pytest.approx(2 * np.sin(phi / 2), rel=1e-5)
     row = figures["per_frequency"][0]

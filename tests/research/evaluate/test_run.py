@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.runs import made_run
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset, with_phasors
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.magnification import Magnification
@@ -31,7 +31,7 @@ def half(scene, tmp_path):
     """A run that found half of the amplitude, in the right place and phase."""
     root, gaussians, motion = scene
     return made_run(
-        tmp_path / "run", root, gaussians, replace(motion, displacement=0.5 * motion.displacement)
+        tmp_path / "run", root, gaussians, with_phasors(motion, displacement=0.5 * motion.displacement)
     )
 
 
@@ -198,7 +198,7 @@ def test_a_band_is_judged_by_itself_and_motion_outside_it_is_noted(tmp_path):
     gaussians, motion = make_synthetic_dataset(root, **EXTRAS | {"freqs": (3.0, 6.0), "alphas": (20,)})
     wrong = motion.displacement.copy()
     wrong[1] *= 0.5  # what is outside the band is off
-    run = made_run(tmp_path / "run", root, gaussians, replace(motion, displacement=wrong))
+    run = made_run(tmp_path / "run", root, gaussians, with_phasors(motion, displacement=wrong))
     metrics = evaluate_run(run, magnified=Magnification.of(1.0, (2, 4)))
     assert metrics["band_hz"] == [2.0, 4.0]
     assert metrics["displacement"]["in_band"]["relative_error"] < 1e-3

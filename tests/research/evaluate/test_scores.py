@@ -1,11 +1,9 @@
 """When two poses are the same, and how much of a motion is seen."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset, with_phasors
 from tg4mm.capture import load_capture
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.modes import ModalMotion
@@ -17,7 +15,7 @@ FPS, T = 30.0, 30
 def method(modes, band=None, rotation=0):
     shape = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 3.0]])
     displacement = np.stack([m * shape for m in modes.values()]).astype(np.complex64)
-    motion = ModalMotion(np.array(list(modes)), displacement, rotation * displacement, FPS, T)
+    motion = ModalMotion.of_phasors(np.array(list(modes)), displacement, rotation * displacement, FPS, T)
     return ScoredMotion("ours", motion, Magnification.of(1.0, *([band] if band else [])))
 
 
@@ -68,7 +66,9 @@ def test_the_exact_motion_changes_the_picture_as_the_ceiling_does(scene):
 
 def test_a_motion_a_quarter_of_a_period_late_is_beside_it(scene):
     motion = scene[2]
-    late = replace(motion, displacement=np.complex64(1j) * motion.displacement, rotation=1j * motion.rotation)
+    late = with_phasors(
+        motion, displacement=np.complex64(1j) * motion.displacement, rotation=1j * motion.rotation
+    )
     found = figures(scene, late)
     assert found["change_gain"] == pytest.approx(0, abs=0.15)
     assert found["change_residual"] == pytest.approx(1, abs=0.15)

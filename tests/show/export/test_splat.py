@@ -1,12 +1,10 @@
 """What is exported is what was trained: splat files read back, numbered files show the magnified motion."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
 
-from tests.helpers.synthetic import moving_run
+from tests.helpers.synthetic import moving_run, with_phasors
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.splatfile import positions_at, read_splat
 from tg4mm.show.export.splat import export_ply, export_ply_sequence
@@ -25,7 +23,7 @@ def test_a_splat_file_rests_at_the_motions_own_zero(run, tmp_path):
     offset = np.full_like(motion.displacement[:1], 0.25)
     displacement = np.concatenate([offset, motion.displacement])
     fields = {"displacement": displacement, "rotation": np.concatenate([0.2 * offset, motion.rotation])}
-    run.save_motion(replace(motion, freqs_hz=np.array([0.0, *motion.freqs_hz]), **fields), {})
+    run.save_motion(with_phasors(motion, freqs_hz=np.array([0.0, *motion.freqs_hz]), **fields), {})
     splat = read_splat(export_ply(run, tmp_path / "splat.ply"))
     np.testing.assert_array_equal(splat.freqs_hz, [3.0, 6.0])
     np.testing.assert_allclose(splat.means, run.load_space().means + 0.25, atol=1e-6)
@@ -57,7 +55,7 @@ def test_modes_of_noise_alone_are_not_written_and_the_others_say_how_sure_they_a
     faint = np.complex64(1e-4) * motion.displacement[:1]
     names = ("displacement", "rotation")
     fields = {name: np.concatenate([getattr(motion, name), faint]) for name in names}
-    more = replace(motion, freqs_hz=np.array([3.0, 6.0, 9.0]), **fields)
+    more = with_phasors(motion, freqs_hz=np.array([3.0, 6.0, 9.0]), **fields)
     run.save_motion(more, {})
     assert read_splat(export_ply(run, tmp_path / "unknown.ply")).freqs_hz.tolist() == [3.0, 6.0]
     with_uncertainty(run, 5e-4, 3e-4)

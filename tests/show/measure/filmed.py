@@ -99,7 +99,9 @@ def modes(phasors, n_timesteps=45):
     """A run's motion from phasors [N, 3] by frequency in Hz."""
     n = sum(PARTS)
     values = np.array([phasors[f] for f in sorted(phasors)], np.complex64).reshape(-1, n, 3)
-    return ModalMotion(np.array(sorted(phasors), float), values, np.zeros_like(values), FPS, n_timesteps)
+    return ModalMotion.of_phasors(
+        np.array(sorted(phasors), float), values, np.zeros_like(values), FPS, n_timesteps
+    )
 
 
 def sine(hz, amplitude, phase=0.0, decay=0.0):

@@ -84,7 +84,7 @@ def measured(path, texture, wrong):
     run.save_space(replace(gaussians, sh=gaussians.sh + torch.from_numpy(false.astype(np.float32))), {})
     modes = np.zeros((1, len(bar), 3), np.complex64)
     modes[0, bar] = -1j * AMPLITUDE * [0.5, 0.9, 0.9]
-    run.save_motion(ModalMotion(np.array([HZ]), modes, 0 * modes, FPS, T), {})
+    run.save_motion(ModalMotion.of_phasors(np.array([HZ]), modes, 0 * modes, FPS, T), {})
     found = measure(prepare(run, keep=False), [parse_sensor(EDGE)])
     sinusoid = np.sin(2 * np.pi * HZ * found["edge"].times_s)
     return found, (found["edge"].displacement * sinusoid[:, None]).sum(0) / (sinusoid @ sinusoid) / PX

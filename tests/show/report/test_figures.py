@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset, with_phasors
 from tests.show.report.page_checks import read_page
 from tg4mm.capture import load_capture
 from tg4mm.core.pages import page as p
@@ -47,8 +47,11 @@ def test_maps_show_the_true_amplitude_and_phase_of_each_part(tmp_path):
     np.testing.assert_allclose(maps.phase[moving], -np.pi / 2, atol=0.05)  # a sine: zero at timestep 0
     assert (maps.amplitude[maps.opacity < 1e-6] == 0).all()
     weights = blending_weights(gaussians, capture)
-    assert image_motion(gaussians, motion.displacement[1], weights, camera) > 0
-    assert image_motion(gaussians, motion.displacement[1] * 0, weights, camera) == 0
+    moved = image_motion(gaussians, motion, weights, camera)
+    still = image_motion(gaussians, with_phasors(motion, 0 * motion.displacement), weights, camera)
+    assert moved.shape == still.shape == motion.freqs_hz.shape
+    assert moved[1] > 0
+    assert not still.any()
 
 
 def test_uncertainty_shows_as_the_peak_of_a_sinusoid(tmp_path):

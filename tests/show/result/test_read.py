@@ -11,7 +11,7 @@ import torch
 from tests.capture.conftest import edit
 from tests.helpers.look import found
 from tests.helpers.runs import made_run
-from tests.helpers.synthetic import exact_run
+from tests.helpers.synthetic import exact_run, with_phasors
 from tests.show.result.conftest import AMPLITUDE, DEVIATION, NOISE
 from tg4mm.capture import load_capture
 from tg4mm.capture.look.record import to_record
@@ -152,7 +152,7 @@ def test_a_strong_drift_is_no_vibration_and_is_said(copy, hz):
     motion = copy.load_motion()
     drift = [np.concatenate([10 * x[:1], x]) for x in (motion.displacement, motion.rotation)]
     freqs = np.array([hz, *motion.freqs_hz])
-    copy.save_motion(replace(motion, freqs_hz=freqs, displacement=drift[0], rotation=drift[1]), {})
+    copy.save_motion(with_phasors(motion, freqs_hz=freqs, displacement=drift[0], rotation=drift[1]), {})
     found = result_of(copy)
     assert {v.hz for v in found.vibrations} <= {3.0, 7.5}
     assert found.band is None or found.band[0] > hz
@@ -168,7 +168,7 @@ def test_what_comes_and_goes_is_a_drift(copy):
     shape = 30 * motion.displacement[:1]
     freqs = np.arange(1.0, 6.0)
     wave = np.asarray(hump[:, None, None] * shape).astype(np.complex64)
-    copy.save_motion(replace(motion, freqs_hz=freqs, displacement=wave, rotation=0 * wave), {})
+    copy.save_motion(with_phasors(motion, freqs_hz=freqs, displacement=wave, rotation=0 * wave), {})
     assert not result_of(copy).vibrations
 
 
@@ -193,7 +193,7 @@ def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(copy):
     motion = copy.load_motion()
     nothing = motion.displacement[:0]
     told = {"frequencies_hz": [3.4], "frequency_deviation_hz": [0.002], "notes": ["motion at 3.4 Hz: …"]}
-    copy.save_motion(replace(motion, freqs_hz=np.zeros(0), displacement=nothing, rotation=nothing), told)
+    copy.save_motion(with_phasors(motion, freqs_hz=np.zeros(0), displacement=nothing, rotation=nothing), told)
     text = "\n".join(lines_of(result_of(copy)))
     assert "something changes at 3.4000 ± 0.0020 Hz, but its amplitude and direction cannot be deter" in text
     assert "no vibration was found" not in text
@@ -201,7 +201,7 @@ def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(copy):
 
 def test_nothing_found_and_nothing_to_find(copy, tmp_path):
     still = copy.load_motion()
-    copy.save_motion(replace(still, displacement=0 * still.displacement), {})
+    copy.save_motion(with_phasors(still, displacement=0 * still.displacement), {})
     found = result_of(copy)
     assert (found.vibrations, found.band) == ((), None)
     assert "no vibration was found" in "\n".join(lines_of(found))
@@ -243,7 +243,7 @@ def test_with_one_camera_the_deviation_across_the_sight_counts_in_pixels(copy):
 def test_what_a_network_turns_single_gaussians_by_does_not_limit_alpha(run, tmp_path):
     """With the preset `paper` phasors of rotation are large where nothing turns; with `modal` they are the scene's."""
     motion, alphas = run.load_motion(), {}
-    turned = replace(motion, rotation=np.full_like(motion.rotation, 2.0))
+    turned = with_phasors(motion, rotation=np.full_like(motion.rotation, 2.0))
     for preset in ("paper", "modal"):
         made = made_run(tmp_path / preset, run.dataset, run.load_space(), turned, preset)
         alphas[preset] = result_of(made).alpha

@@ -1,12 +1,12 @@
 """`--band auto`, bands without motion and magnification that goes too far, as a library and as a user meets them."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.helpers.runs import copied
+from tests.helpers.synthetic import with_phasors
 from tests.show.result.conftest import NOISE
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
@@ -79,7 +79,7 @@ def test_a_band_that_holds_noise_alone_is_empty(run, tmp_path):
     """A mode lies in it, but one that is far below the noise."""
     motion = run.load_motion()
     faint = np.full_like(motion.displacement[:1], 0.01 * NOISE)
-    noisy = replace(
+    noisy = with_phasors(
         motion,
         freqs_hz=np.array([3.0, 5.0, 7.5]),
         displacement=np.concatenate([motion.displacement[:1], faint, motion.displacement[1:]]),
@@ -119,7 +119,7 @@ def other_motion(run, tmp_path, amplitude, hz=3.0):
     displacement = np.zeros_like(motion.displacement[:1])
     displacement[..., 0] = amplitude
     fields = {"displacement": displacement, "rotation": 0 * displacement}
-    copy.save_motion(replace(motion, freqs_hz=np.array([hz]), **fields), {})
+    copy.save_motion(with_phasors(motion, freqs_hz=np.array([hz]), **fields), {})
     return copy
 
 

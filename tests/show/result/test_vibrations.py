@@ -60,7 +60,7 @@ def test_phasors_are_those_of_the_line_in_all_bins_together():
     shape = np.array([[1.0, 0.0, 0.5], [0.0, 2.0, 0.0]])
     series = ringing(5.13, 1.0)[:, None, None] * shape
     hz, values = series_modes(series, FPS)
-    motion = ModalMotion(hz, values, np.zeros_like(values), FPS, N)
+    motion = ModalMotion.of_phasors(hz, values, np.zeros_like(values), FPS, N)
     line = line_near(ringing(5.13, 1.0), FPS, 5.13, [], 0.0)
     assert line is not None
     np.testing.assert_allclose(phasors_at(motion, line), shape, atol=0.01)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset, with_phasors
 from tests.show.view.browser import browser as chromium
 from tg4mm.fit.motion.modes import AppearanceModes
 from tg4mm.run import Run
@@ -37,7 +37,7 @@ def moving_run(tmp_path_factory):
     turns = moves * np.array([[[0.004j, 0.01, 0.0]], [[0.0, 0.003, 0.012j]]])
     run = Run.create(root / "run", root / "data", "modal", {})
     run.save_space(gaussians, {})
-    run.save_motion(replace(motion, rotation=turns.astype(np.complex64), appearance=light), {})
+    run.save_motion(replace(with_phasors(motion, rotation=turns.astype(np.complex64)), appearance=light), {})
     return run
 
 

@@ -60,7 +60,9 @@ def test_more_fields_than_a_page_holds_are_refused(moving_run):
 
 def modal(displacement, rotation):
     freqs = np.arange(1.0, 1 + len(displacement))
-    return ModalMotion(freqs, displacement.astype(np.complex64), rotation.astype(np.complex64), 30.0, 30)
+    return ModalMotion.of_phasors(
+        freqs, displacement.astype(np.complex64), rotation.astype(np.complex64), 30.0, 30
+    )
 
 
 def phasors(found):

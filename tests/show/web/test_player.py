@@ -153,7 +153,9 @@ def test_as_many_fields_as_a_page_holds_are_drawn(browser, moving_run, camera, t
     run = Run.create(tmp_path / "run", moving_run.dataset, "modal", {})
     run.save_space(moving_run.load_space(), {})
     fps, n_timesteps = moving_run.load_motion().fps, moving_run.load_motion().n_timesteps
-    run.save_motion(ModalMotion(np.linspace(0.2, 14, 48), displacement, rotation, fps, n_timesteps), {})
+    run.save_motion(
+        ModalMotion.of_phasors(np.linspace(0.2, 14, 48), displacement, rotation, fps, n_timesteps), {}
+    )
     page = opened(browser, export_html(run, tmp_path / "many.html"), "#paused")
     assert page.evaluate("() => tg4mm.scene.layout.n_fields") == 96
     assert psnr(picture(page, camera, alpha=10, time=7.3), ours(run, camera, 7.3, 10)) >= LEAST_DB

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.modes import ModalMotion, apply_appearance, fields_of
+from tg4mm.fit.motion.modes import ModalMotion, apply_appearance
 
 Alpha = float | np.ndarray  # one for all modes, or [K]: one each, as `Magnification.ideal` gives them
 
@@ -22,19 +21,19 @@ def mode_gains(motion: ModalMotion, t: float, alpha: Alpha) -> np.ndarray:
     return np.asarray((1 + alpha * motion.is_magnified()) * motion.gains_at(t))
 
 
-def _sum(phasors: np.ndarray, gains: np.ndarray) -> np.ndarray:
-    k, n = phasors.shape[:2]
-    return np.ascontiguousarray((gains.astype(np.complex64) @ phasors.reshape(k, 3 * n)).real).reshape(n, 3)
+def _at(motion: ModalMotion, t: float, alpha: Alpha, columns: slice) -> np.ndarray:
+    factors = motion.coefficients(mode_gains(motion, t, alpha))
+    return np.asarray(np.tensordot(factors, motion.fields[..., columns], axes=1), np.float32)
 
 
 def displacement_at(motion: ModalMotion, t: float, alpha: Alpha = 0.0) -> np.ndarray:
     """Return [N, 3] displacement from rest in scene units at timestep t (sub-frames allowed)."""
-    return _sum(motion.displacement, mode_gains(motion, t, alpha))
+    return _at(motion, t, alpha, slice(0, 3))
 
 
 def rotation_at(motion: ModalMotion, t: float, alpha: Alpha = 0.0) -> np.ndarray:
     """Return [N, 3] rotation vectors from rest in radians, world axes, at timestep t."""
-    return _sum(motion.rotation, mode_gains(motion, t, alpha))
+    return _at(motion, t, alpha, slice(3, 6))
 
 
 def rotated(quats: Tensor, rotation: Tensor) -> Tensor:
@@ -58,58 +57,32 @@ def animate(gaussians: Gaussians, motion: ModalMotion | None, t: float, alpha: A
 
     Raises ValueError if the motion has another number of Gaussians.
     """
-    if motion is None:
-        return gaussians
-    _check_number(gaussians, motion)
-    gains = mode_gains(motion, t, alpha)
-    change = np.concatenate([_sum(motion.displacement, gains), _sum(motion.rotation, gains)], 1)
-    there = moved(gaussians, torch.from_numpy(change).to(gaussians.means))
-    return _with_appearance(there, motion, gains, _appearance_on(gaussians.means.device, motion))
-
-
-def _check_number(gaussians: Gaussians, motion: ModalMotion) -> None:
-    if (n := motion.displacement.shape[1]) != len(gaussians):
-        raise ValueError(f"the motion has {n} Gaussians, the scene {len(gaussians)}")
-
-
-def _with_appearance(
-    gaussians: Gaussians, motion: ModalMotion, gains: np.ndarray, fields: Tensor | None
-) -> Gaussians:
-    """Add the appearance whose `fields` are on the Gaussians' device."""
-    if motion.appearance is None or fields is None:
-        return gaussians
-    coefficients = torch.from_numpy(motion.appearance.coefficients(gains)).to(gaussians.sh)
-    return replace(gaussians, sh=apply_appearance(gaussians.sh, fields, coefficients))
-
-
-def _appearance_on(device: torch.device, motion: ModalMotion) -> Tensor | None:
-    return None if motion.appearance is None else torch.from_numpy(motion.appearance.shapes).to(device)
+    return animator(gaussians, motion)(t, alpha)
 
 
 def animator(gaussians: Gaussians, motion: ModalMotion | None) -> Callable[..., Gaussians]:
-    """Return `animate` with this motion as a function of (t, alpha), for many timesteps.
+    """Return `animate` with this motion as a function of (t, alpha), for many timesteps: a GPU gets the fields once.
 
-    It keeps the few fields of which the phasors of all frequencies are sums, and on a GPU sends them once: many times
-    as fast for many frequencies.
     Raises ValueError if the motion has another number of Gaussians.
     """
-    device = gaussians.means.device
     if motion is None:
-        return partial(animate, gaussians, motion)
-    _check_number(gaussians, motion)
-    fields, series = fields_on(device, motion)
-    appearance = _appearance_on(device, motion)
+        return lambda t, alpha=0.0: gaussians
+    if (n := motion.n_gaussians) != len(gaussians):
+        raise ValueError(f"the motion has {n} Gaussians, the scene {len(gaussians)}")
+    device, light = gaussians.means.device, motion.appearance
+    fields = torch.from_numpy(motion.fields.reshape(len(motion.fields), 6 * n)).to(device)
+    shapes = None if light is None else torch.from_numpy(light.shapes).to(device)
 
     def animated(t: float, alpha: Alpha = 0.0) -> Gaussians:
         gains = mode_gains(motion, t, alpha)
-        factors = torch.from_numpy((gains @ series).real.astype(np.float32)).to(device)
-        there = moved(gaussians, (factors @ fields).reshape(-1, 6))
-        return _with_appearance(there, motion, gains, appearance)
+        change = (_on(device, motion.coefficients(gains)) @ fields).reshape(-1, 6)
+        there = moved(gaussians, change.to(gaussians.means))
+        if light is None or shapes is None:
+            return there
+        return replace(there, sh=apply_appearance(there.sh, shapes, _on(device, light.coefficients(gains))))
 
     return animated
 
 
-def fields_on(device: torch.device, motion: ModalMotion) -> tuple[Tensor, np.ndarray]:
-    """Return fields [R, 6 N] and series [K, R] whose product is the motion's phasors, to rounding."""
-    fields, series = fields_of(motion)
-    return torch.from_numpy(fields.reshape(len(fields), 6 * fields.shape[1])).to(device), series
+def _on(device: torch.device, factors: np.ndarray) -> Tensor:
+    return torch.from_numpy(factors).to(device)

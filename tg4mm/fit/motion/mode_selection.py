@@ -37,7 +37,7 @@ def peaks(
     power than all noise. known_hz: of vibrations that regions showed: a part of the scene may move at them alone, which
     its mean does not show, and the mode there is a peak all the same.
     """
-    rms = np.sqrt((np.abs(motion.displacement) ** 2).sum(2).mean(1)) if len(motion.freqs_hz) else np.zeros(0)
+    rms = np.sqrt(motion.powers() / motion.n_gaussians)
     is_able = motion.freqs_hz >= lowest_hz
     able = rms[is_able]
     least = np.full(len(rms), _PEAK * able.max(initial=0))
@@ -92,7 +92,7 @@ def worth_keeping(motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
     noise [N]: standard deviation of each Gaussian's displacement by noise, scene units; None: not known, then a
     millionth of the motion's power takes its place. 0 Hz is kept: it is where the motion's own zero lies.
     """
-    power = (np.abs(motion.displacement) ** 2).sum(2).mean(1) / 2
+    power = motion.powers() / (2 * motion.n_gaussians)
     oscillates = np.asarray(motion.freqs_hz) > 0
     total = float(power[oscillates].sum())
     allowed = _OF_MOTION * total

@@ -74,6 +74,8 @@ def apply_appearance(sh: Tensor, shapes: Tensor, coefficients: Tensor) -> Tensor
 class ModalMotion:
     """x(t, α) = x + Σ_k (1 + α·g_k) Re[m_k exp(i 2π f_k t / fps)], g_k = 1 for f_k inside the band, else 0.
 
+    The phasors m_k of K modes are sums of R real fields, m_k = Σ_r series[k, r] fields[r]: a fit finds few fields and
+    up to T / 2 modes, so that all phasors of a large scene would take most of the memory.
     `appearance`, if any, changes the Gaussians' colours by the same modes, with the same gains g_k.
 
     A motion that is not a sum of sinusoids (ring-down, drift) has its own `gains` in place of the exponentials. Modes
@@ -81,13 +83,96 @@ class ModalMotion:
     """
 
     freqs_hz: np.ndarray  # [K] float64
-    displacement: np.ndarray  # [K, N, 3] complex64, scene units
-    rotation: np.ndarray  # [K, N, 3] complex64, rotation vectors in radians, world axes
+    fields: np.ndarray  # [R, N, 6] float32: displacement, scene units; rotation vector, radians; world axes
+    series: np.ndarray  # [K, R] complex128
     fps: float  # Hz
     n_timesteps: int  # T
     gains: np.ndarray | None = None  # [K, T] complex128; None: the exponentials
     magnified: np.ndarray | None = None  # [K] bool; None: all above 0 Hz
     appearance: AppearanceModes | None = None  # changes of colour; None: there are none
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for shapes that do not fit."""
+        fields, series, k = self.fields.shape, self.series.shape, len(self.freqs_hz)
+        if len(fields) != 3 or fields[2] != 6 or series != (k, fields[0]):
+            raise ValueError(f"fields {fields} and series {series}, expected [R, N, 6] and [{k}, R]")
+
+    @classmethod
+    def of_phasors(
+        cls,
+        freqs_hz: np.ndarray,
+        displacement: np.ndarray,
+        rotation: np.ndarray,
+        fps: float,
+        n_timesteps: int,
+        gains: np.ndarray | None = None,
+        magnified: np.ndarray | None = None,
+        appearance: AppearanceModes | None = None,
+    ) -> "ModalMotion":
+        """Return the motion of these phasors, [K, N, 3] complex: scene units, and radians about the world axes.
+
+        Their real and imaginary parts become the fields. Raises ValueError for shapes that do not fit.
+        """
+        shape = displacement.shape
+        if rotation.shape != shape or len(shape) != 3 or shape[2] != 3 or shape[0] != len(freqs_hz):
+            raise ValueError(
+                f"displacement has shape {shape}, rotation {rotation.shape}, expected [{len(freqs_hz)}, N, 3]"
+            )
+        both = np.concatenate([displacement, rotation], axis=2)
+        parts = np.concatenate([both.real, both.imag]).astype(np.float32)
+        moves = parts.any(axis=(1, 2))
+        one = np.eye(shape[0], dtype=np.complex128)
+        series = np.concatenate([one, 1j * one], axis=1)
+        return cls(freqs_hz, parts[moves], series[:, moves], fps, n_timesteps, gains, magnified, appearance)
+
+    @property
+    def n_gaussians(self) -> int:
+        """N."""
+        return self.fields.shape[1]
+
+    @property
+    def displacement(self) -> np.ndarray:
+        """Displacement phasors [K, N, 3] complex64, scene units: large, and made anew by each call."""
+        return self.combined(np.eye(len(self.freqs_hz)), slice(0, 3))
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Rotation phasors [K, N, 3] complex64, radians about the world axes: large, and made anew by each call."""
+        return self.combined(np.eye(len(self.freqs_hz)), slice(3, 6))
+
+    def displacement_of(self, k: int) -> np.ndarray:
+        """Return mode k's displacement phasors [N, 3] complex64, scene units."""
+        return self.combined(np.eye(len(self.freqs_hz))[k], slice(0, 3))
+
+    def rotation_of(self, k: int) -> np.ndarray:
+        """Return mode k's rotation phasors [N, 3] complex64, radians about the world axes."""
+        return self.combined(np.eye(len(self.freqs_hz))[k], slice(3, 6))
+
+    def combined(self, factors: np.ndarray, columns: slice = slice(0, 6)) -> np.ndarray:
+        """Return Σ_k factors[…, k] m_k, […, N, 6] complex64, or only those columns of displacement and rotation."""
+        coefficients = (np.asarray(factors) @ self.series).astype(np.complex64)
+        some = self.fields[..., columns]
+        out = np.empty((*coefficients.shape[:-1], *some.shape[1:]), np.complex64)
+        out.real = np.tensordot(coefficients.real, some, axes=1)
+        out.imag = np.tensordot(coefficients.imag, some, axes=1)
+        return out
+
+    def coefficients(self, gains: np.ndarray) -> np.ndarray:
+        """Return [R] float32, the fields' factors Re[Σ_k gains[k] series[k, r]] for gains [K] complex."""
+        return np.asarray((np.asarray(gains) @ self.series).real, np.float32)
+
+    def powers(self, weights: np.ndarray | None = None) -> np.ndarray:
+        """Return [K] float64, Σ_n weights[n] |displacement of mode k at n|², scene units²; weights [N], or all 1."""
+        return np.einsum("kr,rs,ks->k", self.series, self.products(0, weights), self.series.conj()).real
+
+    def products(self, first: int, weights: np.ndarray | None = None) -> np.ndarray:
+        """Return [R, R] float64, inner products of the fields' columns `first` to first + 3 over the Gaussians."""
+        out = np.zeros((len(self.fields),) * 2)
+        for start in range(0, self.n_gaussians, _AT_ONCE):
+            some = self.fields[:, start : start + _AT_ONCE, first : first + 3].astype(np.float64)
+            rows = some if weights is None else some * np.asarray(weights)[start : start + _AT_ONCE, None]
+            out += np.tensordot(rows, some, axes=([1, 2], [1, 2]))
+        return out
 
     def gains_at(self, t: float) -> np.ndarray:
         """Return [K] complex128: exp(i 2π f_k t / fps), or the motion's own gains.
@@ -108,11 +193,13 @@ class ModalMotion:
 
     def selected(self, keep: np.ndarray) -> "ModalMotion":
         """Return only the modes `keep` [K] bool."""
+        series = self.series[keep]
+        used = series.any(axis=0)
         return replace(
             self,
             freqs_hz=self.freqs_hz[keep],
-            displacement=self.displacement[keep],
-            rotation=self.rotation[keep],
+            fields=self.fields if used.all() else self.fields[used],
+            series=series[:, used],
             gains=None if self.gains is None else self.gains[keep],
             magnified=None if self.magnified is None else self.magnified[keep],
             appearance=None if self.appearance is None else self.appearance.selected(keep),
@@ -126,33 +213,16 @@ def fields_of(motion: ModalMotion, tolerance: float = ROUNDING) -> tuple[np.ndar
     real and imaginary parts (Eckart & Young 1936), displacement and rotation each over its own rms; those of an rms of
     at most `tolerance` of the strongest one's are left out.
     """
-    k, n = motion.displacement.shape[:2]
-    sizes = np.array([_rms(motion.displacement), _rms(motion.rotation)])
-    weights = np.divide(1, sizes, out=np.zeros(2), where=sizes > 0).repeat(3)
+    k = len(motion.freqs_hz)
+    rows = np.concatenate([motion.series.real, motion.series.imag])  # [2K, R]
     products = np.zeros((2 * k, 2 * k))
-    for start in range(0, n, _AT_ONCE):
-        rows = (_rows(motion, slice(start, start + _AT_ONCE)) * weights).reshape(
-            2 * k, 6 * min(_AT_ONCE, n - start)
-        )
-        products += rows @ rows.T
+    for first in (0, 3):
+        own = rows @ motion.products(first) @ rows.T
+        products += own / (np.trace(own) or 1.0)
     power, vectors = np.linalg.eigh(products)
     u = vectors[:, np.flatnonzero(power > power.max(initial=0) * tolerance**2)[::-1]]
-    fields = np.empty((u.shape[1], n, 6), np.float32)
-    for start in range(0, n, _AT_ONCE):
-        some = slice(start, start + _AT_ONCE)
-        fields[:, some] = np.tensordot(u.T, _rows(motion, some), axes=1)
+    fields = np.tensordot((u.T @ rows).astype(np.float32), motion.fields, axes=1)
     return fields, np.ascontiguousarray(u[:k] + 1j * u[k:])
-
-
-def _rms(phasors: np.ndarray) -> float:
-    """0 where nothing moves."""
-    return float(np.sqrt(np.mean(np.abs(phasors) ** 2, dtype=np.float64))) if phasors.size else 0.0
-
-
-def _rows(motion: ModalMotion, some: slice) -> np.ndarray:
-    """Return [2K, n, 6] float64: real parts, then imaginary parts, of displacement and rotation."""
-    both = np.concatenate([motion.displacement[:, some], motion.rotation[:, some]], axis=2)
-    return np.concatenate([both.real, both.imag]).astype(np.float64)
 
 
 @dataclass(frozen=True)

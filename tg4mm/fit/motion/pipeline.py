@@ -309,7 +309,9 @@ def _result(
 def without_motion(model: TemporalModel) -> MotionFit:
     """Return the fit of a model in which no frequency stands out, or the halves of the data disagree."""
     empty = np.zeros((0, len(model.gaussians), 3), np.complex64)
-    motion = ModalMotion(np.zeros(0), empty, empty, model.observations.fps, model.observations.n_timesteps)
+    motion = ModalMotion.of_phasors(
+        np.zeros(0), empty, empty, model.observations.fps, model.observations.n_timesteps
+    )
     note = "no frequency stands out of the noise: the run holds no motion"
     hz = model.figures["frequencies_hz"]
     if model.ground_squares() is not None:

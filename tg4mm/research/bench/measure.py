@@ -327,7 +327,7 @@ def strongest_hz(run: Run) -> float | None:
     motion = run.load_motion()
     if motion is None or not (motion.freqs_hz > 0).any():
         return None
-    size = np.linalg.norm(motion.displacement, axis=(1, 2)) * (motion.freqs_hz > 0)
+    size = motion.powers() * (motion.freqs_hz > 0)
     return float(motion.freqs_hz[int(size.argmax())])
 
 

@@ -40,7 +40,7 @@ def exact_motion(truth: Truth, points: np.ndarray) -> ModalMotion:
             mine = np.flatnonzero(nearest == i)
             for part in np.split(mine, range(_AT_ONCE, len(mine), _AT_ONCE)) if obj.modes.any() else ():
                 displacement[:, part], rotation[:, part] = _follow(obj, surface, points[part])
-    return ModalMotion(
+    return ModalMotion.of_phasors(
         truth.freqs_hz,
         displacement.astype(np.complex64),
         rotation.astype(np.complex64),
@@ -246,8 +246,8 @@ def frequency_figures(
 def _check(estimated: ModalMotion, true: ModalMotion, weights: np.ndarray) -> np.ndarray:
     weights = np.asarray(weights, dtype=np.float64)
     n = {
-        "estimated": estimated.displacement.shape[1],
-        "true": true.displacement.shape[1],
+        "estimated": estimated.n_gaussians,
+        "true": true.n_gaussians,
         "weights": len(weights),
     }
     if len(set(n.values())) != 1 or weights.ndim != 1:
@@ -262,7 +262,7 @@ def _check(estimated: ModalMotion, true: ModalMotion, weights: np.ndarray) -> np
 
 def mean_squares(estimated: ModalMotion, true: ModalMotion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return each Gaussian's mean over timesteps of |estimated − true|², |true|² and |estimated|², [N] each."""
-    sums = np.zeros((3, true.displacement.shape[1]))
+    sums = np.zeros((3, true.n_gaussians))
     for t in range(true.n_timesteps):
         # Not rounded to float32 as for rendering, so that errors far below the motion are measured.
         b, a = (_displacement(m, t) for m in (estimated, true))
@@ -272,7 +272,7 @@ def mean_squares(estimated: ModalMotion, true: ModalMotion) -> tuple[np.ndarray,
 
 
 def _displacement(motion: ModalMotion, t: int) -> np.ndarray:
-    return np.tensordot(motion.gains_at(t), motion.displacement, axes=1).real
+    return np.tensordot((motion.gains_at(t) @ motion.series).real, motion.fields[..., :3], axes=1)
 
 
 def _phasor_at(motion: ModalMotion, frequency: float) -> np.ndarray:
@@ -282,9 +282,8 @@ def _phasor_at(motion: ModalMotion, frequency: float) -> np.ndarray:
     against = np.exp(-2j * np.pi * frequency / motion.fps * t)
     forward = (gains * against).mean(1)
     backward = (gains.conj() * against).mean(1)
-    both = np.tensordot(forward, motion.displacement, 1) + np.tensordot(
-        backward, motion.displacement.conj(), 1
-    )
+    factors = forward @ motion.series + backward @ motion.series.conj()
+    both = np.tensordot(factors, motion.fields[..., :3], axes=1)
     alone = np.isclose(2 * frequency % motion.fps, 0)
     return both / 2 if alone else both
 

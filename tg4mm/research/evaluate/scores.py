@@ -83,8 +83,7 @@ class ScoredMotion:
     def _parts(self) -> tuple[np.ndarray, np.ndarray]:
         """Return whether any Gaussian's phasor of mode k has a real part and an imaginary part: two [K] bool."""
         assert self.motion is not None
-        both = np.concatenate([self.motion.displacement, self.motion.rotation], axis=2)
-        has_re, has_im = both.real.any(axis=(1, 2)), both.imag.any(axis=(1, 2))
+        has_re, has_im = self.motion.series.real.any(axis=1), self.motion.series.imag.any(axis=1)
         if (light := self.motion.appearance) is None:
             return has_re, has_im
         return has_re | light.parts[0], has_im | light.parts[1]
@@ -335,7 +334,7 @@ def notes_of(subject: Subject) -> list[str]:
     exact, bands = subject.exact, subject.magnified.limits
     if exact is None:
         return []
-    moving, magnified = exact.displacement.any(axis=(1, 2)), exact.is_magnified()
+    moving, magnified = exact.powers() > 0, exact.is_magnified()
     inside = subject.magnified.inside(exact.freqs_hz)
     notes = []
     if bands and (outside := exact.freqs_hz[moving & magnified & ~inside]).size:

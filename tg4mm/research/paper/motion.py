@@ -179,4 +179,4 @@ def modal_of_series(model: PaperModel, planes: Iterable[Tensor], fps: float) -> 
         shift = now.means.double() - rest.means.double()
         changes.append(torch.cat([shift, rotation_between(rest.quats, now.quats)], 1))
     freqs, phasors = series_modes(torch.stack(changes).numpy(), fps)
-    return ModalMotion(freqs, phasors[..., :3], phasors[..., 3:], fps, len(changes))
+    return ModalMotion.of_phasors(freqs, phasors[..., :3], phasors[..., 3:], fps, len(changes))

@@ -82,7 +82,7 @@ def one_period(run: Run) -> range:
     motion = run.load_motion()
     if motion is None:
         return range(1)
-    power = (np.abs(motion.displacement) ** 2).sum(axis=(1, 2)) * motion.is_magnified()
+    power = motion.powers() * motion.is_magnified()
     if not power.any():
         return range(1)
     hz = float(motion.freqs_hz[int(power.argmax())])

@@ -62,10 +62,8 @@ def to_splat(
     if motion is None:
         still = SplatFile.static(means, quats, scales, opacities, sh, unit_scale_m)
         return replace(still, low_pass_px2=baked)
-    if motion.displacement.shape[1] != len(means):
-        raise RunError(
-            f"the motion is of {motion.displacement.shape[1]} Gaussians, the scene has {len(means)}"
-        )
+    if motion.n_gaussians != len(means):
+        raise RunError(f"the motion is of {motion.n_gaussians} Gaussians, the scene has {len(means)}")
     return SplatFile(
         means=means,
         quats=quats,
@@ -73,8 +71,8 @@ def to_splat(
         opacities=opacities,
         sh=sh,
         freqs_hz=np.asarray(motion.freqs_hz, np.float64),
-        displacement=np.asarray(motion.displacement, np.complex64),
-        rotation=np.asarray(motion.rotation, np.complex64),
+        displacement=motion.displacement,
+        rotation=motion.rotation,
         fps=float(motion.fps),
         n_timesteps=int(motion.n_timesteps),
         unit_scale_m=unit_scale_m,

@@ -39,12 +39,10 @@ class ModalFields:
         """Return the fields of a run's motion; none without motion."""
         if motion is None or not len(motion.freqs_hz):
             return ModalFields(np.zeros((0, n_gaussians, DOF), np.float32), np.zeros((0, 0)), np.zeros(0))
-        both = np.concatenate([motion.displacement, motion.rotation], 2).reshape(len(motion.freqs_hz), -1)
-        rows = np.concatenate([both.real, -both.imag]).astype(np.float32)
-        shifts = np.concatenate([motion.displacement.real, -motion.displacement.imag]).reshape(len(rows), -1)
-        values, vectors = np.linalg.eigh((shifts @ shifts.T).astype(np.float64))
+        rows = np.concatenate([motion.series.real, -motion.series.imag])  # [2K, R]
+        values, vectors = np.linalg.eigh(rows @ motion.products(0) @ rows.T)
         kept = vectors[:, values > _WEAKEST * max(values[-1], 1e-300)].T
-        fields = (kept.astype(np.float32) @ rows).reshape(len(kept), n_gaussians, DOF)
+        fields = np.tensordot((kept @ rows).astype(np.float32), motion.fields, axes=1)
         return ModalFields(fields, kept, np.asarray(motion.freqs_hz, np.float64))
 
     def series(self, times_s: np.ndarray, phases: np.ndarray | None = None) -> np.ndarray:

@@ -13,7 +13,7 @@ from tg4mm.core.files import write_atomic
 from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.animate import animate
+from tg4mm.fit.motion.animate import animator
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
@@ -71,10 +71,10 @@ def _phasors(scene: Prepared, frequency_hz: float, resolution: float) -> np.ndar
     assert motion is not None
     near = np.abs(motion.freqs_hz - frequency_hz) <= _SAME * resolution
     if not near.any():
-        return np.zeros(motion.displacement.shape[1:], np.complex64)
+        return np.zeros((motion.n_gaussians, 3), np.complex64)
     times = scene.clocks[0].times_s
     turn = np.exp(2j * np.pi * np.outer(motion.freqs_hz[near] - frequency_hz, times))
-    return np.tensordot(turn.mean(1).astype(np.complex64), motion.displacement[near], 1)
+    return motion.combined(turn.mean(1) @ np.eye(len(near))[near], slice(0, 3))
 
 
 def write_animations(
@@ -103,9 +103,9 @@ def write_animations(
 def _period(scene: Prepared, shape: OperatingShape, gain: float) -> Iterator[Gaussians]:
     """Return the Gaussians at each frame."""
     phasors = np.where(shape.is_above[:, None], shape.phasors, 0).astype(np.complex64)[None]
-    motion = ModalMotion(np.array([1.0]), phasors, np.zeros_like(phasors), float(FRAMES), FRAMES)
-    greyed = _greyed(scene.gaussians, ~shape.is_above & (np.abs(shape.phasors).sum(1) > 0))
-    return (animate(greyed, motion, t, gain - 1) for t in range(FRAMES))
+    motion = ModalMotion.of_phasors(np.array([1.0]), phasors, np.zeros_like(phasors), float(FRAMES), FRAMES)
+    at = animator(_greyed(scene.gaussians, ~shape.is_above & (np.abs(shape.phasors).sum(1) > 0)), motion)
+    return (at(t, gain - 1) for t in range(FRAMES))
 
 
 def _greyed(gaussians: Gaussians, rows: np.ndarray) -> Gaussians:

@@ -132,7 +132,7 @@ def _prepared(
         torch.zeros(0, 3), torch.zeros(0, 4), torch.zeros(0, 3), torch.zeros(0), torch.zeros(0, 1, 3)
     )
     none = np.zeros((0, 0, 3), np.complex64)
-    fit = MotionFit(nothing, ModalMotion(np.zeros(0), none, none, fps, count), {}, {})
+    fit = MotionFit(nothing, ModalMotion.of_phasors(np.zeros(0), none, none, fps, count), {}, {})
     modal = ModalFields.of(None, 0)
     clock = SharedClock("", (0,), times_s, None, np.zeros((0, count)))
     return Prepared(

@@ -225,7 +225,7 @@ def _maps(m: Material) -> Block:
     assert motion is not None
     seen = []
     for k in _leading(m):
-        direction = main_direction(motion.displacement[k], m.model.weights)
+        direction = main_direction(motion.displacement_of(k), m.model.weights)
         seen.append((k, direction, motion_maps(m.model.gaussians, motion, k, direction, m.view.camera)))
     top = max(scale_top(maps.amplitude, maps.opacity) for _, _, maps in seen)
     panels, axes = [], []
@@ -288,7 +288,9 @@ def _axis_of_motion(m: Material) -> Axis | None:
     if motion is None or m.main is None:
         return None
     k = int(np.argmin(np.abs(motion.freqs_hz - m.main.hz)))
-    right, down, _ = m.view.camera.viewmat[:3, :3] @ main_direction(motion.displacement[k], m.model.weights)
+    right, down, _ = m.view.camera.viewmat[:3, :3] @ main_direction(
+        motion.displacement_of(k), m.model.weights
+    )
     return "row" if abs(right) >= abs(down) else "column"
 
 

@@ -205,13 +205,9 @@ def _shots(dataset: Path, train: Capture) -> tuple[Capture, Clock, Sequence[Pose
 def _most_telling(train: Capture, model: Model, shots: Sequence[PosedFrames]) -> int:
     if model.motion is None:
         return 0
-    phasors, size, some = (
-        model.motion.displacement[model.main],
-        (train.width, train.height),
-        evenly(len(shots), _MANY),
-    )
+    size, some = (train.width, train.height), evenly(len(shots), _MANY)
     cameras = [Camera.of(shots[i], size) for i in some]
-    seen = [image_motion(model.gaussians, phasors, model.weights, camera) for camera in cameras]
+    seen = [image_motion(model.gaussians, model.motion, model.weights, c)[model.main] for c in cameras]
     return int(some[int(np.argmax(seen))])
 
 

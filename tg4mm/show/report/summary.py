@@ -156,7 +156,7 @@ def _vibration_stats(m: Material) -> list[Stat]:
     return [
         Stat("Frequency", hz, "Hz", f"a record of {number(m.result.duration_s)} s"),
         Stat("Amplitude", value, unit, f"{pixels}peak, 99th percentile of the visible"),
-        _direction_stat(main_direction(m.model.motion.displacement[k], m.model.weights), m.result.is_flat),
+        _direction_stat(main_direction(m.model.motion.displacement_of(k), m.model.weights), m.result.is_flat),
     ]
 
 

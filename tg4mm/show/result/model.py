@@ -258,8 +258,8 @@ def phasors_at(motion: ModalMotion, line: Line, b_frames: np.ndarray | None = No
     real, imaginary = np.split(
         projected([line], np.hstack([gains.real, gains.imag]), some / motion.fps)[0], 2
     )
-    along = np.tensordot(real.astype(np.complex64), motion.displacement.real, 1)
-    return np.asarray(along - np.tensordot(imaginary.astype(np.complex64), motion.displacement.imag, 1))
+    factors = real @ motion.series.real - imaginary @ motion.series.imag
+    return np.asarray(np.tensordot(factors.astype(np.complex64), motion.fields[..., :3], axes=1))
 
 
 def why_no_damping(line: Line | None) -> str:
@@ -282,7 +282,7 @@ def mode_deviations(motion: ModalMotion, deviation: np.ndarray, noise: np.ndarra
     upper bound; errors of the model, which grow with the motion, by the mode's share of the motion's power. A
     sinusoid's amplitude is √2 times its rms.
     """
-    power = (np.abs(motion.displacement) ** 2).sum(2).mean(1).astype(np.float64)
+    power = motion.powers()
     total = float(power[np.asarray(motion.freqs_hz) > 0].sum())
     share = np.clip(power / total, 0, 1) if total > 0 else np.zeros_like(power)
     by_noise = np.asarray(noise, np.float64) ** 2
@@ -297,11 +297,11 @@ def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> 
     """
     turned = phasors * np.exp(-0.5j * np.angle(np.einsum("nc,nc,n->", phasors, phasors, weights)))
     shape = weights[:, None] * turned.real
-    along = np.einsum("knc,nc->k", motion.displacement, shape) / max(
+    along = np.einsum("rnc,nc->r", motion.fields[..., :3], shape) / max(
         float((shape * turned.real).sum()), 1e-30
     )
-    gains = np.stack([motion.gains_at(t) for t in range(motion.n_timesteps)], 1)
-    return np.asarray((along[:, None] * gains).real.sum(0))
+    gains = np.stack([motion.gains_at(t) for t in range(motion.n_timesteps)])
+    return np.asarray((gains @ (motion.series @ along)).real)
 
 
 @dataclass(frozen=True)

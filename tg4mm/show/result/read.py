@@ -49,10 +49,9 @@ def _requested(reading: ResultSources, band: Band) -> Vibration | None:
     if not len(inside):
         return None
     weights = reading.seen.weights
-    power = np.einsum("knc,n->k", np.abs(motion.displacement[inside]) ** 2, weights)
-    k = int(inside[power.argmax()])
+    k = int(inside[motion.powers(weights)[inside].argmax()])
     tone, share = _tone(reading, motion, k, band)
-    phasors = motion.displacement[k] * np.complex64(1.0 if tone is None else abs(tone.phasor[0]))
+    phasors = motion.displacement_of(k) * np.complex64(1.0 if tone is None else abs(tone.phasor[0]))
     amplitude, position = reading.largest(phasors, k)
     deviation = float(np.hypot(amplitude.deviation or 0.0, share * amplitude.value))
     amplitude = replace(amplitude, deviation=deviation)
@@ -80,7 +79,7 @@ def _tone(reading: ResultSources, motion: ModalMotion, k: int, band: Band) -> tu
         return None, float(reading.log["asked_share"])
     if motion.n_timesteps < FEWEST:
         return None, 1.0
-    series = series_of(motion, motion.displacement[k], reading.seen.weights)
+    series = series_of(motion, motion.displacement_of(k), reading.seen.weights)
     noise = float(reading.log.get("noise_to_motion") or 0.0) * float(np.sqrt((series**2).mean()))
     tone = tone_in(series, np.arange(len(series)) / motion.fps, band, noise)
     return tone, float(tone.amplitude_deviation[0]) / max(abs(tone.phasor[0]), 1e-300)
@@ -256,7 +255,7 @@ def _found(reading: ResultSources, motion: ModalMotion) -> list[ModePeak]:
 
 
 def _line(reading: ResultSources, motion: ModalMotion, hz: float, others: list[float]) -> ModePeak:
-    series = series_of(motion, motion.displacement[_index(motion, hz)], reading.seen.weights)
+    series = series_of(motion, motion.displacement_of(_index(motion, hz)), reading.seen.weights)
     noise = float(reading.log.get("noise_to_motion") or 0.0)
     codec = None if reading.look is None else CodecChange(reading.look.coded_change)
     line = line_near(series, motion.fps, hz, others, noise, reading.b_frames, codec)
@@ -279,7 +278,7 @@ def _vibrations(reading: ResultSources, motion: ModalMotion, found: list[ModePea
     out = []
     for v, band in zip(found, bands, strict=True):
         k, line = _index(motion, v.mode_hz), v.line
-        phasors = motion.displacement[k] if line is None else phasors_at(motion, line, reading.b_frames)
+        phasors = motion.displacement_of(k) if line is None else phasors_at(motion, line, reading.b_frames)
         amplitude, position = reading.largest(phasors, k)
         if amplitude.deviation is not None and amplitude.value < amplitude.deviation:
             continue  # not larger than its error

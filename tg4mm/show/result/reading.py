@@ -70,7 +70,7 @@ def reach_of(
     distance, near = _neighbours(means[rows], gaussians.scales.numpy()[rows].max(1))
     pixels2, strain2, turn2 = 0.0, np.zeros(len(rows)), np.zeros(len(rows))
     for k in np.flatnonzero(gains):
-        moved, turned = (gains[k] * phasors[k] for phasors in (motion.displacement, motion.rotation))
+        moved, turned = gains[k] * motion.displacement_of(k), gains[k] * motion.rotation_of(k)
         pixels2 += (seen.pixels(moved) or 0.0) ** 2
         if is_decoded:
             continue

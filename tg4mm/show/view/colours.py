@@ -47,7 +47,7 @@ def gaussian_colours(scene: RunScene, colour: Colour, magnified: Magnification) 
     k = scene.strongest(magnified)
     if colour is Colour.picture or k is None or scene.motion is None:
         return None
-    phasors = scene.motion.displacement[k]
+    phasors = scene.motion.displacement_of(k)
     amplitude = peak_displacement(phasors)
     top = scale_top(amplitude, scene.weights)
     if colour is Colour.phase:
@@ -71,7 +71,7 @@ def legend(scene: RunScene, colour: Colour, magnified: Magnification) -> Markup:
     at = f"{number(float(scene.motion.freqs_hz[k]))} Hz"
     if colour is Colour.phase:
         return Markup("<p>Motion at {}; grey: below a tenth of the largest.</p>{}").format(at, phase_bar())
-    top = scale_top(peak_displacement(scene.motion.displacement[k]), scene.weights) * scene.per_unit
+    top = scale_top(peak_displacement(scene.motion.displacement_of(k)), scene.weights) * scene.per_unit
     bar = colour_bar(top, scene.unit, "peak displacement")
     return Markup("<p>Motion at {}, as captured.</p>{}").format(at, bar)
 

@@ -178,7 +178,8 @@ def modal_waveform(scene: RunScene, weights: np.ndarray) -> Waveform | None:
     kept = np.flatnonzero(scene.motion.is_magnified())
     kept = kept[np.argsort(scene.motion.freqs_hz[kept], kind="stable")]
     frequencies = scene.motion.freqs_hz[kept]
-    phasors = np.einsum("n,knc->kc", share, scene.motion.displacement[np.ix_(kept, rows)])  # [K, 3]
+    fields = np.einsum("n,rnc->rc", share, scene.motion.fields[:, rows, :3])
+    phasors = scene.motion.series[kept] @ fields  # [K, 3]
     direction = main_direction(phasors, np.ones(len(phasors)))
     amplitudes = peak_displacement(phasors)
     k = int(amplitudes.argmax())

@@ -162,7 +162,7 @@ class RunScene:
             return np.zeros(0)
         rows = np.flatnonzero(self.motion.is_magnified())
         rows = rows[np.argsort(self.motion.freqs_hz[rows], kind="stable")]
-        found = [scale_top(peak_displacement(self.motion.displacement[k]), self.weights) for k in rows]
+        found = [scale_top(peak_displacement(self.motion.displacement_of(k)), self.weights) for k in rows]
         return np.array(found)
 
     def alpha_to_see(self) -> float:

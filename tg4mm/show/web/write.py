@@ -168,11 +168,10 @@ def _first_camera(
     if motion is None or not len(motion.freqs_hz):
         return cameras[0], np.zeros(0)
     weights = gaussians.opacities.cpu().numpy()
-    strength = (np.abs(motion.displacement) ** 2).sum(axis=(1, 2)) * motion.is_magnified()
-    main = motion.displacement[int(np.argmax(strength))]
-    seen = [image_motion(gaussians, main, weights, camera) for camera in cameras]
-    best = cameras[int(np.argmax(seen))]
-    return best, np.array([image_motion(gaussians, m, weights, best) for m in motion.displacement])
+    main = int(np.argmax(motion.powers() * motion.is_magnified()))
+    seen = [image_motion(gaussians, motion, weights, camera) for camera in cameras]
+    best = int(np.argmax([pixels[main] for pixels in seen]))
+    return cameras[best], seen[best]
 
 
 def _motion_json(
@@ -192,7 +191,7 @@ def _motion_json(
         "freqs_hz": [float(f) for f in motion.freqs_hz],
         "magnified": [bool(m) for m in magnified],
         "rms_px": [float(p) for p in pixels],
-        "amplitude": [_amplitude(m) for m in motion.displacement],
+        "amplitude": [_amplitude(motion, k) for k in range(len(motion.freqs_hz))],
         "peaks": [
             {"hz": hz, "band": list(band), "amplitude": amplitudes.get(hz, _nearest(motion, hz))}
             for hz, band in peak_bands(reading)
@@ -206,12 +205,12 @@ def _motion_json(
 
 
 def _nearest(motion: ModalMotion, hz: float) -> float:
-    return _amplitude(motion.displacement[int(np.abs(np.asarray(motion.freqs_hz) - hz).argmin())])
+    return _amplitude(motion, int(np.abs(np.asarray(motion.freqs_hz) - hz).argmin()))
 
 
-def _amplitude(phasors: np.ndarray) -> float:
-    """Return the 99th percentile of a mode's displacement [N, 3], scene units."""
-    return float(np.percentile(peak_displacement(phasors), 99))
+def _amplitude(motion: ModalMotion, k: int) -> float:
+    """Return the 99th percentile of mode k's displacement, scene units."""
+    return float(np.percentile(peak_displacement(motion.displacement_of(k)), 99))
 
 
 def _parts(values: np.ndarray) -> dict[str, list]:

@@ -345,12 +345,10 @@ class SinusoidalModel(TemporalModel):
 
     def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:
         """Return the modes by ascending frequency."""
-        values = (self.scale * (fields[0::2] + 1j * fields[1::2])).astype(np.complex64)
-        order = np.argsort(self.hz)
+        hz, order = np.asarray(self.hz, np.float64), np.argsort(self.hz)
+        series = self.scale * np.kron(np.eye(len(hz)), [1, 1j])[order]
         of_time = self.observations.fps, self.observations.n_timesteps
-        return ModalMotion(
-            np.asarray(self.hz, np.float64)[order], values[order, :, :3], values[order, :, 3:], *of_time
-        )
+        return ModalMotion(hz[order], np.asarray(fields, np.float32), series, *of_time)
 
 
 def frequencies_of(

@@ -28,7 +28,7 @@ from tg4mm.fit.motion.nuisance.projection import Nuisance
 from tg4mm.fit.motion.observations import Observations
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
-from tg4mm.fit.motion.spectrum import apply_series, modes_of
+from tg4mm.fit.motion.spectrum import modes_of
 from tg4mm.fit.motion.split_half import folds_of
 from tg4mm.fit.motion.targets import TargetImages, projected
 from tg4mm.fit.motion.temporal import TemporalModel
@@ -226,11 +226,10 @@ class Synchronous(TemporalModel):
         band, times_s = asked_band(self.config.band, fps), self.observations.frames[0].times_s
         known = self.observations.steady_hz
         freqs, series = modes_of(self.own_basis, fields, fps, appearance, band, times_s, known)
-        values = apply_series(series, fields)
         shown = None
         if appearance is not None and (rows := np.flatnonzero(appearance.any((1, 2, 3)))).size:
             shown = AppearanceModes(appearance[rows], series[:, rows])
-        return ModalMotion(freqs, values[..., :3], values[..., 3:], fps, n_timesteps, appearance=shown)
+        return ModalMotion(freqs, np.asarray(fields, np.float32), series, fps, n_timesteps, appearance=shown)
 
     def peaks_hz(self, motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
         return peaks(motion, self.observations.lowest_hz, noise, self.observations.steady_hz)

@@ -135,7 +135,9 @@ def fit_motion(
     with full_precision(device):
         found = fit(g, views, config)
     freqs, phasors = series_modes(found.series.cpu().numpy(), capture.fps)
-    motion = ModalMotion(freqs, phasors[..., :3], phasors[..., 3:], capture.fps, capture.n_timesteps)
+    motion = ModalMotion.of_phasors(
+        freqs, phasors[..., :3], phasors[..., 3:], capture.fps, capture.n_timesteps
+    )
     if found.gaussians is not g:
         run.save_space(found.gaussians, {})
     figures = {"iterations": found.iterations, "parameters": found.parameters, **gpu_figures(device)}

@@ -98,7 +98,7 @@ def _motion(
     phasors: np.ndarray, freqs_hz: np.ndarray, data: BenchSet, gains: np.ndarray | None
 ) -> ModalMotion:
     still = np.zeros_like(phasors)
-    return ModalMotion(freqs_hz, phasors, still, data.fps, data.n_timesteps, gains)
+    return ModalMotion.of_phasors(freqs_hz, phasors, still, data.fps, data.n_timesteps, gains)
 
 
 @dataclass(frozen=True)
