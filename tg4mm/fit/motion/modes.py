@@ -133,29 +133,36 @@ class ModalMotion:
     @property
     def displacement(self) -> np.ndarray:
         """Displacement phasors [K, N, 3] complex64, scene units: large, and made anew by each call."""
-        return self.combined(np.eye(len(self.freqs_hz)), slice(0, 3))
+        return self._phasors(slice(0, 3))
 
     @property
     def rotation(self) -> np.ndarray:
         """Rotation phasors [K, N, 3] complex64, radians about the world axes: large, and made anew by each call."""
-        return self.combined(np.eye(len(self.freqs_hz)), slice(3, 6))
+        return self._phasors(slice(3, 6))
+
+    def _phasors(self, columns: slice) -> np.ndarray:
+        out = np.empty((len(self.series), self.n_gaussians, 3), np.complex64)
+        for k, row in enumerate(self.series):
+            out[k] = self._sum(row)[:, columns]
+        return out
 
     def displacement_of(self, k: int) -> np.ndarray:
         """Return mode k's displacement phasors [N, 3] complex64, scene units."""
-        return self.combined(np.eye(len(self.freqs_hz))[k], slice(0, 3))
+        return self._sum(self.series[k])[:, :3]
 
     def rotation_of(self, k: int) -> np.ndarray:
         """Return mode k's rotation phasors [N, 3] complex64, radians about the world axes."""
-        return self.combined(np.eye(len(self.freqs_hz))[k], slice(3, 6))
+        return self._sum(self.series[k])[:, 3:]
 
-    def combined(self, factors: np.ndarray, columns: slice = slice(0, 6)) -> np.ndarray:
-        """Return Σ_k factors[…, k] m_k, […, N, 6] complex64, or only those columns of displacement and rotation."""
-        coefficients = (np.asarray(factors) @ self.series).astype(np.complex64)
-        some = self.fields[..., columns]
-        out = np.empty((*coefficients.shape[:-1], *some.shape[1:]), np.complex64)
-        out.real = np.tensordot(coefficients.real, some, axes=1)
-        out.imag = np.tensordot(coefficients.imag, some, axes=1)
-        return out
+    def combined(self, factors: np.ndarray) -> np.ndarray:
+        """Return the displacement phasors Σ_k factors[k] m_k, [N, 3] complex64, scene units."""
+        return self._sum(factors @ self.series)[:, :3]
+
+    def _sum(self, coefficients: np.ndarray) -> np.ndarray:
+        """Return Σ_r coefficients[r] fields[r], [N, 6] complex64."""
+        parts = np.stack([coefficients.real, coefficients.imag]).astype(np.float32)
+        real, imaginary = np.tensordot(parts, self.fields, axes=1)
+        return np.asarray(real + 1j * imaginary)
 
     def coefficients(self, gains: np.ndarray) -> np.ndarray:
         """Return [R] float32, the fields' factors Re[Σ_k gains[k] series[k, r]] for gains [K] complex."""

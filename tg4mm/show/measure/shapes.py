@@ -74,7 +74,7 @@ def _phasors(scene: Prepared, frequency_hz: float, resolution: float) -> np.ndar
         return np.zeros((motion.n_gaussians, 3), np.complex64)
     times = scene.clocks[0].times_s
     turn = np.exp(2j * np.pi * np.outer(motion.freqs_hz[near] - frequency_hz, times))
-    return motion.combined(turn.mean(1) @ np.eye(len(near))[near], slice(0, 3))
+    return motion.selected(near).combined(turn.mean(1))
 
 
 def write_animations(
