@@ -15,6 +15,7 @@ from tg4mm.capture.codec import (
     codec_losses,
     coded_change,
     is_lossless,
+    trial,
 )
 from tg4mm.capture.codec.trial import gain_of, probe, shifts_of
 from tg4mm.capture.planes import Orientation
@@ -28,21 +29,24 @@ REGION = np.zeros((120, 160), bool)
 REGION[36:84, 46:114] = True
 
 
-def film(path, hz, codec, noise=3.0, **options):
-    """Noisy pictures whose middle moves to the right by AMPLITUDE pixels at `hz`, zero to peak."""
-    rng, base = np.random.default_rng(0), texture()
-    slope = slope_of(base, 1)
-    slope[:24], slope[96:], slope[:, :30], slope[:, 130:] = 0, 0, 0, 0
+def film(path, hz, codec, noise=3.0, tiles=1, **options):
+    """Noisy pictures, the texture `tiles` times across, whose middle moves right by AMPLITUDE pixels at `hz`."""
+    rng, base = np.random.default_rng(0), np.tile(texture(), (tiles, tiles, 1))
+    slope, middle = slope_of(base, 1), tiles // 2
+    rows, columns = slice(120 * middle + 24, 120 * middle + 96), slice(160 * middle + 30, 160 * middle + 130)
+    moves = np.zeros((*base.shape[:2], 1))
+    moves[rows, columns] = 1
+    slope *= moves
     moved = [base - AMPLITUDE * np.cos(2 * np.pi * hz * k / FPS) * slope for k in range(N)]
     frames = [np.clip(m + rng.normal(0, noise, m.shape), 0, 255).astype(np.uint8) for m in moved]
     return encoded(path, frames, codec, **options)
 
 
-def measured(path, hz):
+def measured(path, hz, region=REGION):
     """The amplitude that is left, pixels, and its standard error."""
     made = probe(path, 0.0, N)
     times = np.arange(N) / FPS
-    (u,) = shifts_of(made.luma, [REGION.astype(np.float32)], times)
+    (u,) = shifts_of(made.luma, [region.astype(np.float32)], times)
     found = gain_of(u, [MeasuredTone(hz, np.array([AMPLITUDE + 0j, 0]))], 0, times)
     return found.gain * AMPLITUDE, found.error * AMPLITUDE
 
@@ -64,6 +68,43 @@ def test_what_is_lost_is_told_blind(tmp_path, codec, options, hz):
     true = amplitude / AMPLITUDE
     assert abs(loss.gain - true) < 3 * np.hypot(loss.deviation, error / AMPLITUDE)
     assert bool(loss.why) == (loss.gain < 0.5)
+
+
+@pytest.mark.parametrize(
+    ("options", "size"),
+    [
+        ({"crf": "22"}, (192, 224)),
+        ({"qp": "24"}, (192, 224)),
+        ({"crf": "22", "x264-params": "aq-mode=2"}, (360, 480)),  # its quality depends on the whole picture
+        ({"b": "3000000"}, (360, 480)),
+    ],
+)
+def test_a_region_is_encoded_alone_where_that_is_the_same(tmp_path, monkeypatch, options, size):
+    path = film(tmp_path / "a.mp4", 5.0, "libx264", tiles=3, **options)
+    region = np.pad(REGION, ((120, 120), (160, 160)))
+    amplitude, error = measured(path, 5.0, region)
+    sizes, encode = [], trial._encode
+    monkeypatch.setattr(
+        trial, "_encode", lambda p, made, *a: sizes.append(made.luma.shape[1:]) or encode(p, made, *a)
+    )
+    (loss,) = codec_losses(path, [region], [[MeasuredTone(5.0, np.array([amplitude, 0]))]], FPS)[0]
+    assert set(sizes) == {size}
+    assert abs(loss.gain - amplitude / AMPLITUDE) < 3 * np.hypot(loss.deviation, error / AMPLITUDE)
+
+
+def test_a_part_of_the_stored_pictures_has_the_colours_of_its_place(tmp_path):
+    made = probe(film(tmp_path / "a.mp4", 5.0, "libx264", crf="18"), 0.0, 3)
+    part = made.within((slice(16, 96), slice(32, 80)))
+
+    def upsampled(planes):
+        frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
+        return frame.reformat(format="yuv444p").to_ndarray().astype(int)
+
+    for planes, whole in zip(part.planes, made.planes, strict=True):
+        expected = upsampled(whole)[:, 16:96, 32:80]
+        difference = upsampled(np.ascontiguousarray(planes)) - expected
+        assert np.abs(difference[:, 4:-4, 4:-4]).max() <= 1  # colours are interpolated at the border
+        assert expected.std((1, 2)).min() > 2
 
 
 def test_pictures_coded_by_themselves_lose_nothing(tmp_path):

@@ -10,13 +10,22 @@ Nothing is fitted. If the file names no available encoder, the pictures decide: 
 and whose noise is new in each frame has lost nothing; any other is marked.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.codec.trial import CodecSample, MeasuredTone, TestedTone, is_lossless, probe, through
+from tg4mm.capture.codec.trial import (
+    CodecSample,
+    MeasuredTone,
+    TestedTone,
+    box_about,
+    is_lossless,
+    probe,
+    through,
+)
+from tg4mm.capture.tracking.registration import Box
 from tg4mm.capture.video import ALONE, BETWEEN, FORWARD, av_module
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.lines import CodecChange
@@ -34,11 +43,14 @@ FRESH = 0.08  # of what lost nothing; the deviation of its gain
 _FEWEST, _PERIODS, _PIXELS = 64, 6, 30e6
 # The same where an answer is wanted in seconds, and the pixels beyond which there is none.
 _QUICK_PERIODS, _QUICK_PIXELS, _QUICK_MOST = 3, 4e6, 12e6
-_GAINS = 0.15, 1.1  # that the second tone is corrected by
+_LEAST = 0.15  # gain that one test corrects the next by
 _MOST_LOST = 0.9  # share of detail: what is left of a line that is found
 _FEWEST_OF_KIND = 8  # frames, more than which show what a kind lacks
 _FOLDS = 3  # e-foldings of a decaying tone that its test contains
-_ALIKE = 0.9  # first gains from which a second tone would be as large as the first within the deviation
+_ALIKE = 0.9  # of the measured amplitude, what the last test may leave
+_ROUNDS = 5  # encodings, at most
+_APART = 0.2  # of the logarithms of two tests, from which the power follows
+_STEEPEST = 6.0  # power of the amplitude; measured: up to 5
 
 
 @dataclass(frozen=True)
@@ -136,52 +148,102 @@ def _tested(
     The first encoding has `frames`, the second as many as make its standard error as small as what is beside it.
     """
     found: list[list[Loss]] = [[] for _ in tones]
-    for group in _apart([k for k, of_group in enumerate(tones) if of_group], masks):
+    for group, box in _groups(made, [k for k, of_group in enumerate(tones) if of_group], masks):
+        part = made if box is None else made.within(box)
         of_group = [
             [replace(t, phasor=made.orientation.stored_vector(t.phasor)) for t in tones[k]] for k in group
         ]
-        shown, length = of_group, min(frames, len(times))
-        for again in range(2):
-            inside = [masks[k] for k in group]
-            results = through(made, inside, shown, times[:length], seed + again, without_between)
-            errors = [tone.error for result in results for tone in result]
-            needed = length * (SCATTER * max(errors) / BESIDE) ** 2
-            is_alike = all(_is_alike(tone, own) for tone, own in _pairs(results, shown))
-            if again or (needed <= length and is_alike):
+        searches = [[AmplitudeSearch(tone, tone) for tone in of_region] for of_region in of_group]
+        every = [search for of_region in searches for search in of_region]
+        inside = [masks[k] if box is None else masks[k][box] for k in group]
+        length = min(frames, len(times))
+        for round_ in range(_ROUNDS):
+            sent = [[search.sent for search in of_region] for of_region in searches]
+            results = through(part, inside, sent, times[:length], seed + round_, without_between)
+            for search, result in zip(
+                every, (tone for of_region in results for tone in of_region), strict=True
+            ):
+                search.add(result)
+            needed = length * (SCATTER * max(search.found.error for search in every) / BESIDE) ** 2
+            if all(search.is_done for search in every) and (round_ or needed <= length):
                 break
-            shown = [
-                [_before(*three) for three in zip(*of_region, strict=True)]
-                for of_region in zip(of_group, shown, results, strict=True)
-            ]
             length = int(np.clip(needed, length, len(times)))
-        for k, result, own in zip(group, results, shown, strict=True):
-            found[k] = [_loss(tone, sent) for tone, sent in zip(result, own, strict=True)]
+            for search in every:
+                search.sent = search.following()
+        for k, of_region in zip(group, searches, strict=True):
+            found[k] = [_loss(search) for search in of_region]
     return found
 
 
-def _pairs(
-    results: Sequence[Sequence[TestedTone]], shown: Sequence[Sequence[MeasuredTone]]
-) -> Iterator[tuple[TestedTone, MeasuredTone]]:
-    for result, own in zip(results, shown, strict=True):
-        yield from zip(result, own, strict=True)
+@dataclass
+class AmplitudeSearch:
+    """The search for the tone that an encoding turns into the measured one.
+
+    What is left of a tone falls steeply where the codec begins to skip it, so that one correction by its gain goes far
+    beyond: the left amplitude is taken for a power of the sent one between two tests (the secant method in logarithms).
+    """
+
+    measured: MeasuredTone
+    sent: MeasuredTone
+    found: TestedTone = field(default_factory=lambda: TestedTone(1.0, 0.0))
+    # of each test: logarithms of the sent and of the left amplitude, over the measured one
+    tests: list[tuple[float, float]] = field(default_factory=list)
+
+    def add(self, found: TestedTone) -> None:
+        """Add the result of testing `sent`."""
+        self.found = found
+        size = np.linalg.norm(self.sent.phasor) / np.linalg.norm(self.measured.phasor)
+        self.tests.append((float(np.log(size)), float(np.log(size * max(found.gain, _LEAST**2)))))
+
+    @property
+    def power(self) -> float:
+        """Return the power of the sent amplitude as which the left one grows: 1 where a constant share is left."""
+        sent, left = self.nearest
+        others = [test for test in self.tests if abs(test[0] - sent) > _APART]
+        if not others:
+            return 1.0
+        before, left_before = min(others, key=lambda test: abs(test[1]))
+        return float(np.clip((left - left_before) / (sent - before), 1, _STEEPEST))
+
+    @property
+    def nearest(self) -> tuple[float, float]:
+        """Return the test that left most nearly the measured amplitude."""
+        return min(self.tests, key=lambda test: abs(test[1]))
+
+    @property
+    def is_done(self) -> bool:
+        """Return whether the last test left the measured tone, within the deviation, and decayed as fast."""
+        decay = self.sent.decay_per_s
+        is_as_fast = decay <= 0 or abs(self.found.decay_per_s / decay - 1) < 1 - _ALIKE
+        return abs(self.tests[-1][1]) < -np.log(_ALIKE) and is_as_fast
+
+    @property
+    def gain(self) -> float:
+        """Return the measured amplitude over that of the tone that the tests say was there."""
+        sent, left = self.nearest
+        return self.found.gain if len(self.tests) == 1 else float(np.exp(left / self.power - sent))
+
+    def following(self) -> MeasuredTone:
+        """Return the tone to test next."""
+        sent, left = self.nearest
+        size = sent - float(np.clip(left, np.log(_LEAST), -np.log(_LEAST))) / self.power
+        below = max((test[0] for test in self.tests if test[1] < 0), default=-np.inf)
+        above = min((test[0] for test in self.tests if test[1] > 0), default=np.inf)
+        if np.isfinite(above - below) and not min(below, above) < size < max(below, above):
+            size = (below + above) / 2
+        measured, decay = self.measured, self.sent.decay_per_s
+        if decay > 0 and self.found.decay_per_s > 0:
+            decay = float(
+                np.clip(measured.decay_per_s - self.found.decay_per_s + decay, decay / 3, 3 * decay)
+            )
+        return replace(measured, phasor=measured.phasor * np.exp(size), decay_per_s=decay)
 
 
-def _is_alike(found: TestedTone, sent: MeasuredTone) -> bool:
-    """Return whether a second tone would be as large, and decay as fast, within the deviation."""
-    is_as_fast = sent.decay_per_s <= 0 or abs(found.decay_per_s / sent.decay_per_s - 1) < 1 - _ALIKE
-    return found.gain > _ALIKE and bool(is_as_fast)
-
-
-def _before(measured: MeasuredTone, sent: MeasuredTone, found: TestedTone) -> MeasuredTone:
-    """Return the tone that, after what the encoding made of the sent one, would be the measured one."""
-    decay = sent.decay_per_s
-    if decay > 0 and found.decay_per_s > 0:
-        decay = float(np.clip(measured.decay_per_s - found.decay_per_s + decay, decay / 3, 3 * decay))
-    return replace(measured, phasor=measured.phasor / np.clip(found.gain, *_GAINS), decay_per_s=decay)
-
-
-def _loss(found: TestedTone, sent: MeasuredTone) -> Loss:
-    gain, deviation = found.gain, float(np.hypot(SCATTER * found.error, BESIDE))
+def _loss(search: AmplitudeSearch) -> Loss:
+    gain, found, sent = search.gain, search.found, search.sent
+    relative = SCATTER * found.error / max(abs(found.gain), _LEAST)
+    missed = 0.0 if search.is_done else abs(search.nearest[1])
+    deviation = float(np.hypot(np.hypot(relative, missed) * min(abs(gain), 1.0) / search.power, BESIDE))
     if gain >= LOST and sent.decay_per_s > 0 and not found.decay_per_s:
         return Loss(gain, deviation, "", 0.0, sent.decay_per_s)  # any decay may be the codec's
     if gain >= LOST and sent.decay_per_s > 0:
@@ -207,6 +269,21 @@ def _by_pictures(made: CodecSample, mask: np.ndarray, unasked: str) -> Loss:
         return Loss(1.0, FRESH)
     why = f"may be smaller than it was: {equal:.0%} of its pixels repeat the frame before, and {unasked}"
     return Loss(float("nan"), float("nan"), why)
+
+
+def _groups(
+    made: CodecSample, rows: Sequence[int], masks: Sequence[np.ndarray]
+) -> list[tuple[list[int], Box | None]]:
+    """Regions that one encoding tests, and the part of the picture that it encodes; None: all of it.
+
+    A region alone where that is the same (`CodecSample.is_local`) and encodes fewer pixels.
+    """
+    together = _apart(rows, masks)
+    boxes = {k: box_about(masks[k]) for k in rows} if made.is_local else {}
+    pixels = sum(masks[k][box].size for k, box in boxes.items())
+    if boxes and pixels < len(together) * masks[0].size:
+        return [([k], boxes[k]) for k in rows]
+    return [(group, None) for group in together]
 
 
 def _apart(rows: Sequence[int], masks: Sequence[np.ndarray]) -> list[list[int]]:

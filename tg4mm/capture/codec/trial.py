@@ -3,7 +3,7 @@
 import re
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -21,6 +21,8 @@ from tg4mm.core.lines.record import Record, envelope
 
 _NOISE_PX = 8.0  # over which the key frames' noise is averaged
 _AROUND_PX = 12  # about a region, that moves with it in the test: a codec decides by blocks of 16 pixels
+_SEARCHED = 64  # about a region that is encoded alone; a multiple of 16, as vectors reach 16 pixels
+_BLOCK = 16  # the side of a macroblock, which the encoder's grid keeps
 _EDGE_PX = 2.0  # over which that motion fades
 _TRACE = 1e-3  # of a mask: less is none
 _UNEVEN = 0.01  # of a frame
@@ -53,6 +55,26 @@ class CodecSample:
     def luma(self) -> np.ndarray:
         """Return [F, H, W], as the planes are."""
         return self.planes[:, : self.planes.shape[1] * 2 // 3]
+
+    @property
+    def is_local(self) -> bool:
+        """Return whether a part of a picture is encoded as within the whole.
+
+        x264 then chooses the quality of each block by the block and those that refer to it: at constant quality with
+        its tree of macroblocks, or with a constant quantiser. Otherwise the rate or the mean of the picture counts.
+        """
+        told = self.settings
+        constant = told.get("rc") == "cqp" or (told.get("rc") == "crf" and told.get("mbtree") == "1")
+        return self.encoder == "libx264" and constant and told.get("aq", "1") in ("0", "1")
+
+    def within(self, box: Box) -> "CodecSample":
+        """Return the part of the pictures in a box of even sides."""
+        n, (height, width) = len(self.planes), self.luma.shape[1:]
+        colours = self.planes.reshape(n, -1)[:, height * width :].reshape(n, 2, height // 2, width // 2)
+        half = [slice(side.start // 2, side.stop // 2) for side in box]
+        luma, colours = self.luma[:, *box], colours[:, :, *half]
+        parts = [luma.reshape(n, -1), colours.reshape(n, -1)]
+        return replace(self, planes=np.concatenate(parts, 1).reshape(n, -1, luma.shape[2]))
 
     @property
     def pixels(self) -> str:
@@ -127,6 +149,17 @@ def _box_of(mask: np.ndarray) -> Box:
     """Return the rows and columns in which a mask is not 0."""
     rows, columns = (np.flatnonzero((mask > _TRACE).any(axis)) for axis in (1, 0))
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def box_about(mask: np.ndarray) -> Box:
+    """Return the blocks of 16 pixels about a region, as far as an encoder looks for what moved there."""
+
+    def blocks(side: slice, most: int) -> slice:
+        first, last = (side.start - _SEARCHED) // _BLOCK, -(-(side.stop + _SEARCHED) // _BLOCK)
+        return slice(max(0, first * _BLOCK), min(most, last * _BLOCK))
+
+    (rows, columns), (height, width) = _box_of(mask), mask.shape
+    return blocks(rows, height), blocks(columns, width)
 
 
 def _grown(masks: Sequence[np.ndarray]) -> list[np.ndarray]:

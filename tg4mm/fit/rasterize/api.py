@@ -260,8 +260,9 @@ def rasterization(
         )
         images.append(tuple(p[..., : features.shape[-1]] for p in pictures))
         records += projected
-    renders = torch.stack([torch.cat(parts, -1) for parts in zip(*images, strict=True)])
-    light = torch.stack(transmittances)[..., None]
+    views = [parts[0] if len(parts) == 1 else torch.cat(parts, -1) for parts in zip(*images, strict=True)]
+    renders, light = (v[0][None] if len(v) == 1 else torch.stack(list(v)) for v in (views, transmittances))
+    light = light[..., None]
     if backgrounds is not None:
-        renders = renders + light * backgrounds[:, None, None]
+        renders = torch.addcmul(renders, light, backgrounds[:, None, None])
     return renders, 1 - light, {"projected": records, "width": width, "height": height}
