@@ -3,8 +3,8 @@
 A codec skips changes that are too small, so it is a low-pass over time: of 0.02 pixels at a third of the frame rate, a
 fifth may remain. The remainder depends on texture, noise, rate, amplitude and encoder. So the mean picture is moved in
 each region by a tone of the measured frequency, direction and amplitude, with noise as strong as in the key frames,
-encoded as the file says, and measured again, twice: the second tone has the amplitude that follows from the first gain,
-and lasts as long as its standard error requires.
+encoded as the file says, and measured again; then tones of other amplitudes, until the measured one is left. From the
+second on they last as long as the standard error requires. A region is encoded alone where that is the same.
 
 Nothing is fitted. If the file names no available encoder, the pictures decide: a region whose pixels hardly ever repeat
 and whose noise is new in each frame has lost nothing; any other is marked.
@@ -31,11 +31,14 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.lines import CodecChange
 
 # The deviation of a gain: times the test's standard error, and beside it (docs/uncertainty.md, films of x264, x265)
-SCATTER, BESIDE = 1.15, 0.05
+SCATTER, BESIDE = 1.15, 0.06
 _INEXACT = 0.4  # of what the test of a decaying tone corrects, which it is wrong by
 _TOO_LARGE = "it is too large for a test in seconds (tg4mm measure tests it)"
 _UNASKED = "the file names no encoder that can be tested"
 LOST = 0.5  # a gain below it is marked
+_UNSURE = (
+    0.25  # of a gain: a larger deviation is marked, since the quotient is no amplitude with a ± any more
+)
 # equal pixels and the noise's correlation from frame to frame, at most,
 FRESH_PIXELS, FRESH_NOISE = (0.15, 0.1)
 FRESH = 0.08  # of what lost nothing; the deviation of its gain
@@ -78,7 +81,7 @@ def codec_losses(
 ) -> list[list[Loss]]:
     """Measure the share of each region's tones that survives compression.
 
-    The film is encoded twice for each set of regions that do not overlap.
+    The film is encoded up to five times for each set of regions that do not overlap.
 
     Args:
         video: the file that was measured.
@@ -145,7 +148,7 @@ def _tested(
 ) -> list[list[Loss]]:
     """times [F] seconds, of frames that show one picture the same.
 
-    The first encoding has `frames`, the second as many as make its standard error as small as what is beside it.
+    The first encoding has `frames`, the others as many as make their standard error as small as what is beside it.
     """
     found: list[list[Loss]] = [[] for _ in tones]
     for group, box in _groups(made, [k for k, of_group in enumerate(tones) if of_group], masks):
@@ -244,14 +247,15 @@ def _loss(search: AmplitudeSearch) -> Loss:
     relative = SCATTER * found.error / max(abs(found.gain), _LEAST)
     missed = 0.0 if search.is_done else abs(search.nearest[1])
     deviation = float(np.hypot(np.hypot(relative, missed) * min(abs(gain), 1.0) / search.power, BESIDE))
-    if gain >= LOST and sent.decay_per_s > 0 and not found.decay_per_s:
+    is_kept = gain >= LOST and deviation <= _UNSURE * gain
+    if is_kept and sent.decay_per_s > 0 and not found.decay_per_s:
         return Loss(gain, deviation, "", 0.0, sent.decay_per_s)  # any decay may be the codec's
-    if gain >= LOST and sent.decay_per_s > 0:
+    if is_kept and sent.decay_per_s > 0:
         faster = found.decay_per_s - sent.decay_per_s
         errors = SCATTER * found.decay_error, np.sqrt(2) * BESIDE * sent.decay_per_s, _INEXACT * faster
         deviation = float(np.hypot(deviation, _INEXACT * (gain - 1)))
         return Loss(gain, deviation, "", faster, float(np.linalg.norm(errors)))
-    if gain >= LOST:
+    if is_kept:
         return Loss(gain, deviation)
     kept = max(gain, 0.0)
     why = f"smaller than the codec lets through: of a test tone of this size {kept:.2f} ± {deviation:.2f} is left"
