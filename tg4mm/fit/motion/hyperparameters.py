@@ -121,13 +121,11 @@ def chosen_weight(images: np.ndarray, problem: Problem, folds: Sequence[Fold], i
 
 
 def smoothest(weights: np.ndarray, errors: np.ndarray, still: float) -> float:
-    """Return the largest weight around the best one that explains nearly as much; the least where that is the best.
+    """Return the largest weight around the best one that explains nearly as much.
 
     weights [K], ascending, and their predictive errors [K], interpolated over the logarithm of the weight; still: the
     error without motion.
     """
-    if not errors.argmin():
-        return float(weights[0])
     logs = np.log(weights)
     fine = np.linspace(logs[0], logs[-1], round((logs[-1] - logs[0]) / _STEP) + 1)
     curve = Akima1DInterpolator(logs, errors)(fine)
