@@ -154,9 +154,9 @@ def _times(value: float | None, factor: float) -> float | None:
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.json"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
-OPTIONS = dict.fromkeys(("--results", "--dev", "--test", "--rivals", "--bounds"), "") | {"--group": "dev"}
-# of the motion, by key of `means.scalars`: title, format, factor
-_MOTION = {
+_FILES = ("--results", "--dev", "--test", "--large", "--rivals", "--bounds")
+OPTIONS = dict.fromkeys(_FILES, "") | {"--group": "dev"}
+_MOTION = {  # by key of `means.scalars`: title, format, factor
     "displacement_error": ("error, %", "{:.1f}", 100),
     "displacement_error_observed": ("of what can be observed, %", "{:.1f}", 100),
     "static_leak": ("leak, %", "{:.1f}", 100), "amplitude_ratio": ("amplitude ratio", "{:.3f}", 1),
@@ -238,8 +238,10 @@ def run(options: argparse.Namespace) -> None:
     figures = json.loads(FILE.read_text(encoding="utf-8"))
     if options.results:
         figures |= figures_of(_read(options.results))
-    for split in [name for name in ("dev", "test") if vars(options)[name]]:
+    for split in [name for name in ("dev", "test", "large") if vars(options)[name]]:
         figures["tables"] = merged(figures["tables"], split_tables(_read(vars(options)[split]), split))
+    if options.large:  # of every set, in the file alone
+        figures["tables"]["large_pictures"] = rivals_tables(_read(options.large))["rivals"]
     if options.bounds:
         text = Path(options.bounds).read_text(encoding="utf-8")
         figures["tables"] = merged(figures["tables"], bounds_table(text, options.group))

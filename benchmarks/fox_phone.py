@@ -298,11 +298,9 @@ def load_subject(run: Run, truth: FoxTruth) -> tuple[ScoredRun, float]:
     gaussians = run.load_space()
     true = world.vectors_to_run(truth.phasors(world.to_truth(gaussians.means.numpy().astype(np.float64))))
     weights, duration_s = blending_weights(gaussians, capture), motion.n_timesteps / motion.fps
-    modes = motion.displacement
-    subject = ScoredRun(
-        run, kind, gaussians, weights, motion.freqs_hz, modes, true, duration_s, world, camera
-    )  # fmt: skip
-    return subject, left
+    return ScoredRun(
+        run, kind, gaussians, weights, motion.freqs_hz, motion.displacement, true, duration_s, world, camera
+    ), left  # fmt: skip
 
 
 def largest_px(flow: np.ndarray, counts: np.ndarray) -> float:

@@ -45,12 +45,12 @@ from tg4mm.show.result.requested import how_sure, refuse_empty
 from tg4mm.show.web.write import export_html
 
 # Processor seconds in measured runs: for each megapixel of all pictures (the model; then numbers, video and report),
-# for each of one picture, and in any case. 600 pictures of 1920×1080 took 600 s and 9.6 GB, 300 of 960×540 3.8 GB, of
-# 640×360 79 s and 1.8 GB, 120 of 240×160 26 s and 0.8 GB. In 3D 262 pictures of 600×800 took 1,106 s and 7.4 GB.
-_FLAT_S = 0.4, 60.0, 30.0
+# for each of one picture, and in any case. 600 pictures of 1920×1080 took 477 s and 8.5 GB, 300 of 960×540 3.8 GB, of
+# 640×360 86 s and 1.8 GB, 120 of 240×160 26 s and 0.8 GB. In 3D 262 pictures of 600×800 took 1,106 s and 7.4 GB.
+_FLAT_S = 0.25, 60.0, 45.0
 _DEEP_S = 6.5 + 1.34, 0.0, 120.0
 # GB for all pictures, up to so many megapixels; for each megapixel of one picture
-_FLAT_GB, _DEEP_GB, _ALL_MP = (1.3, 3.7), (1.4, 1.7), 150.0
+_FLAT_GB, _DEEP_GB, _ALL_MP = (1.3, 3.2), (1.4, 1.7), 150.0
 # of the modes in 3D, in addition; up to so many megapixels, since the number of Gaussians is limited
 _MODES_GB, _MODES_MP = 10.0, 0.5
 _LEAST_GB = 0.6  # in any case
