@@ -55,12 +55,6 @@ def residual(y: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.asarray(y - x @ np.linalg.lstsq(x, y, rcond=None)[0])
 
 
-def apply_series(series: np.ndarray, fields: np.ndarray) -> np.ndarray:
-    """Return [K, N, D] complex64: Σ_r series[k, r] fields[r] of the components' phasors [K, R] and fields [R, N, D]."""
-    values = np.tensordot(series.astype(np.complex64), fields, axes=1)
-    return np.asarray(values, np.complex64)
-
-
 def modes_of(
     basis: np.ndarray,
     fields: np.ndarray,
