@@ -121,11 +121,13 @@ def chosen_weight(images: np.ndarray, problem: Problem, folds: Sequence[Fold], i
 
 
 def smoothest(weights: np.ndarray, errors: np.ndarray, still: float) -> float:
-    """Return the largest weight around the best one that explains nearly as much.
+    """Return the largest weight around the best one that explains nearly as much; the least where the next does not.
 
     weights [K], ascending, and their predictive errors [K], interpolated over the logarithm of the weight; still: the
     error without motion.
     """
+    if not errors.argmin() and errors[1] - errors[0] > _margin(float(errors[0]), still):
+        return float(weights[0])
     logs = np.log(weights)
     fine = np.linspace(logs[0], logs[-1], round((logs[-1] - logs[0]) / _STEP) + 1)
     curve = Akima1DInterpolator(logs, errors)(fine)
