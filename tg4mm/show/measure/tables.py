@@ -343,12 +343,13 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
         size, error = before_compression(orbit.amplitude, orbit.deviation, loss)
         damping, pixels = result.damping[k], result.pixels(orbit.direction)
         percent = () if damping is None else (100 * damping.ratio, 100 * damping.deviation)
+        bound = "> " if loss is not None and loss.why else ""
         out.append(
             [
                 result.name if not out else "",
                 value_with_deviation(peak.frequency_hz, peak.frequency_deviation_hz),
-                f"{value_with_deviation(size * unit.factor, error * unit.factor)} {unit.name}",
-                f"{value_with_deviation(size * pixels, error * pixels)} px",
+                f"{bound}{value_with_deviation(size * unit.factor, error * unit.factor)} {unit.name}",
+                f"{bound}{value_with_deviation(size * pixels, error * pixels)} px",
                 direction_text(orbit.direction, result.labels),
                 phase_text(measurement, result, peak.frequency_hz),
                 f"{value_with_deviation(*percent)} %" if percent else "",
