@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -304,9 +305,15 @@ def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, so
         raise GenerateError(f"--{source.kind} needs --motion FILE, a description of how it moves")
     motion = read_motion(motion_file(name, options.motion) if source.kind == "builtin" else options.motion)
     motion = motion.with_main(options.frequency, options.amplitude, options.amplitude_px)
-    if options.timesteps is None and values["fps"] > 0:  # else refused below
-        hz = motion.main.law.frequency_hz
-        values = {**values, "timesteps": whole_periods(values["timesteps"], hz, values["fps"])}
+    hz, fps = motion.main.law.frequency_hz, values["fps"]
+    if options.timesteps is None and fps > 0:  # else refused below
+        values = {**values, "timesteps": whole_periods(values["timesteps"], hz, fps)}
+    elif values["timesteps"] > 1 and 0 < values["timesteps"] * hz < (1 - _WHOLE) * fps:
+        print(
+            f"{name}: {values['timesteps']} timesteps hold {values['timesteps'] * hz / fps:.2g} periods of {hz:g} Hz, "
+            f"so that the mean of the pictures is not the scene at rest; --timesteps {math.ceil(fps / hz)} hold one",
+            file=sys.stderr,
+        )
     return Settings(
         scene=name,
         source=source,

@@ -176,3 +176,21 @@ def test_a_signal_handler_that_the_host_set_does_not_end_it(monkeypatch, capsys)
 @pytest.mark.parametrize("arguments", TIMESTEPS)
 def test_records_hold_whole_periods_unless_the_number_is_given(arguments):
     assert settings(*arguments.split()).timesteps == TIMESTEPS[arguments]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("mic --frequency 3 --timesteps 6", "6 timesteps hold 0.6 periods of 3 Hz"),
+        ("mic --frequency 5 --timesteps 6", ""),
+        ("mic --frequency 5 --timesteps 1", ""),
+        ("mic --frequency 3", ""),
+    ],
+)
+def test_a_record_of_less_than_a_period_has_a_line(arguments, said, capsys):
+    settings(*arguments.split())
+    error = capsys.readouterr().err
+    assert said in error
+    assert bool(error) == bool(said)
+    if said:
+        assert "--timesteps 10 hold one" in error
