@@ -71,6 +71,7 @@ class TestResults:
             ((2, 7, 5), (3, 2), r"fields \(2, 7, 5\)"),
             ((7, 6), (3, 7), r"fields \(7, 6\)"),
             ((2, 8, 6), (3, 2), "a motion of 8 Gaussians, expected the 7 in"),
+            ((1, 7000, 6), (200_000, 1), "200000 modes of 7000 Gaussians would take 62 GiB"),
         ],
     )
     def test_fields_that_do_not_fit_are_refused(self, run, fields, series, message):

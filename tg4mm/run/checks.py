@@ -3,10 +3,9 @@
 The kernels trust the shapes of their arrays, and a time of NaN would be a wrong result in silence. All raise RunError
 with the file, what was found and what was expected.
 
-Of most runs the phasors of all K modes are sums of R < 2K real fields. Then
-RUN/motion.safetensors holds `fields` [R, N, 6] float32 and `series` [K, R] complex128, 24 bytes for a Gaussian and
-field where the phasors take 48 for a Gaussian and mode. Else it holds `displacement` and `rotation`, [K, N, 3]
-complex64.
+Of most runs the phasors of all K modes are sums of R < 2K real fields. Then RUN/motion.safetensors holds `fields`
+[R, N, 6] float32 and `series` [K, R] complex128, 24 bytes for a Gaussian and field where the phasors take 48 for a
+Gaussian and mode. Else it holds `displacement` and `rotation`, [K, N, 3] complex64.
 """
 
 from collections.abc import Collection, Mapping
@@ -30,6 +29,7 @@ FIELDS = {"fields": torch.float32, "series": torch.complex128}
 _NUMBERS = {torch.float32, torch.float64, torch.complex64, torch.complex128}
 _FASTEST = 1e9  # Hz
 _LONGEST = 1_000_000  # timesteps: nine hours at 30 Hz
+_MOST_BYTES = 32 << 30  # of phasors, as an export holds them: a small file can name many modes
 
 
 def check_finite(file: Path, tensors: Mapping[str, Tensor], also: Collection[torch.dtype] = ()) -> None:
@@ -145,6 +145,10 @@ def motion_of(file: Path, tensors: Mapping[str, Tensor], clock: tuple[float, int
     appearance = AppearanceModes(*(arrays[name] for name in LIGHT)) if set(LIGHT) <= set(arrays) else None
     freqs, (fps, n_timesteps) = arrays["freqs_hz"], clock
     first, second = (arrays[name] for name in kind)
+    if kind is FIELDS and first.ndim == 3 and (size := 48 * len(freqs) * first.shape[1]) > _MOST_BYTES:
+        raise RunError(
+            f"{file}: {len(freqs)} modes of {first.shape[1]} Gaussians would take {size >> 30} GiB"
+        )
     make = ModalMotion if kind is FIELDS else ModalMotion.of_phasors
     try:
         return make(freqs, first, second, fps, n_timesteps, appearance=appearance)

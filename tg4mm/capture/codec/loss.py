@@ -36,9 +36,7 @@ _INEXACT = 0.4  # of what the test of a decaying tone corrects, which it is wron
 _TOO_LARGE = "it is too large for a test in seconds (tg4mm measure tests it)"
 _UNASKED = "the file names no encoder that can be tested"
 LOST = 0.5  # a gain below it is marked
-_UNSURE = (
-    0.25  # of a gain: a larger deviation is marked, since the quotient is no amplitude with a ± any more
-)
+_UNSURE = 0.25  # of a gain: with a larger deviation it is marked, since a quotient's error is then not normal
 # equal pixels and the noise's correlation from frame to frame, at most,
 FRESH_PIXELS, FRESH_NOISE = (0.15, 0.1)
 FRESH = 0.08  # of what lost nothing; the deviation of its gain

@@ -63,9 +63,9 @@ class CodecSample:
         x264 then chooses the quality of each block by the block and those that refer to it: at constant quality with
         its tree of macroblocks, or with a constant quantiser. Otherwise the rate or the mean of the picture counts.
         """
-        told = self.settings
-        constant = told.get("rc") == "cqp" or (told.get("rc") == "crf" and told.get("mbtree") == "1")
-        return self.encoder == "libx264" and constant and told.get("aq", "1") in ("0", "1")
+        of_file = self.settings
+        constant = of_file.get("rc") == "cqp" or (of_file.get("rc") == "crf" and of_file.get("mbtree") == "1")
+        return self.encoder == "libx264" and constant and of_file.get("aq", "1") in ("0", "1")
 
     def within(self, box: Box) -> "CodecSample":
         """Return the part of the pictures in a box of even sides."""
