@@ -50,8 +50,7 @@ _FEWEST_OF_KIND = 8  # frames, more than which show what a kind lacks
 _FOLDS = 3  # e-foldings of a decaying tone that its test contains
 _ALIKE = 0.9  # of the measured amplitude, what the last test may leave
 _ROUNDS = 5  # encodings, at most
-_APART = 0.2  # of the logarithms of two tests, from which the power follows
-_STEEPEST = 6.0  # power of the amplitude; measured: up to 5
+_APART = 0.2  # of the logarithms of the amplitudes of two trials, from which the exponent follows
 
 
 @dataclass(frozen=True)
@@ -64,6 +63,11 @@ class Loss:
     # of a decaying tone: what compression adds to its decay, per second, with its deviation; None: steady, or unknown
     faster: float | None = None
     faster_deviation: float = 0.0
+
+    @property
+    def is_lost(self) -> bool:
+        """Return whether the test showed that too little survives for a correction; False where it is not known."""
+        return bool(np.isfinite(self.gain)) and (self.gain < LOST or bool(self.why))
 
 
 def codec_losses(
@@ -159,105 +163,117 @@ def _tested(
         inside = [masks[k] if box is None else masks[k][box] for k in group]
         length = min(frames, len(times))
         for round_ in range(_ROUNDS):
-            sent = [[search.sent for search in of_region] for of_region in searches]
-            results = through(part, inside, sent, times[:length], seed + round_, without_between)
+            encoded = [[search.encoded for search in of_region] for of_region in searches]
+            results = through(part, inside, encoded, times[:length], seed + round_, without_between)
             for search, result in zip(
                 every, (tone for of_region in results for tone in of_region), strict=True
             ):
                 search.add(result)
-            needed = length * (SCATTER * max(search.found.error for search in every) / BESIDE) ** 2
+            needed = length * (SCATTER * max(search.trials[-1].found.error for search in every) / BESIDE) ** 2
             if all(search.is_done for search in every) and (round_ or needed <= length):
                 break
-            length = int(np.clip(needed, length, len(times)))
-            for search in every:
-                search.sent = search.following()
+            if round_ + 1 < _ROUNDS:
+                length = int(np.clip(needed, length, len(times)))
+                for search in every:
+                    search.encoded = search.following()
         for k, of_region in zip(group, searches, strict=True):
             found[k] = [_loss(search) for search in of_region]
     return found
 
 
+@dataclass(frozen=True)
+class Trial:
+    """One encoding of a tone. Amplitudes are natural logarithms of multiples of the measured one."""
+
+    encoded: float  # amplitude before the encoding
+    remaining: float  # and after it
+    found: TestedTone
+
+
 @dataclass
 class AmplitudeSearch:
-    """The search for the tone that an encoding turns into the measured one.
+    """The search for the tone of which the encoding leaves the measured one, by the secant method.
 
-    What is left of a tone falls steeply where the codec begins to skip it, so that one correction by its gain goes far
-    beyond: the left amplitude is taken for a power of the sent one between two tests (the secant method in logarithms).
+    The remaining amplitude falls steeply where the codec begins to skip a motion: there a division by the gain goes
+    far beyond the solution. Between two trials it is assumed to be a power of the encoded amplitude.
     """
 
     measured: MeasuredTone
-    sent: MeasuredTone
-    found: TestedTone = field(default_factory=lambda: TestedTone(1.0, 0.0))
-    # of each test: logarithms of the sent and of the left amplitude, over the measured one
-    tests: list[tuple[float, float]] = field(default_factory=list)
+    encoded: MeasuredTone  # in the next trial, or in the last one once the search has ended
+    trials: list[Trial] = field(default_factory=list)
 
     def add(self, found: TestedTone) -> None:
-        """Add the result of testing `sent`."""
-        self.found = found
-        size = np.linalg.norm(self.sent.phasor) / np.linalg.norm(self.measured.phasor)
-        self.tests.append((float(np.log(size)), float(np.log(size * max(found.gain, _LEAST**2)))))
+        """Add the result of encoding `encoded`."""
+        size = float(np.linalg.norm(self.encoded.phasor) / np.linalg.norm(self.measured.phasor))
+        self.trials.append(Trial(np.log(size), np.log(size * max(found.gain, _LEAST**2)), found))
 
     @property
-    def power(self) -> float:
-        """Return the power of the sent amplitude as which the left one grows: 1 where a constant share is left."""
-        sent, left = self.nearest
-        others = [test for test in self.tests if abs(test[0] - sent) > _APART]
+    def nearest(self) -> Trial:
+        """Return the trial whose remaining amplitude is nearest to the measured one."""
+        return min(self.trials, key=lambda trial: abs(trial.remaining))
+
+    @property
+    def exponent(self) -> float:
+        """Return the exponent of that power: 1 where the same share remains of any amplitude."""
+        own = self.nearest
+        others = [trial for trial in self.trials if abs(trial.encoded - own.encoded) > _APART]
         if not others:
             return 1.0
-        before, left_before = min(others, key=lambda test: abs(test[1]))
-        return float(np.clip((left - left_before) / (sent - before), 1, _STEEPEST))
-
-    @property
-    def nearest(self) -> tuple[float, float]:
-        """Return the test that left most nearly the measured amplitude."""
-        return min(self.tests, key=lambda test: abs(test[1]))
+        other = min(others, key=lambda trial: abs(trial.remaining))
+        return max(1.0, (own.remaining - other.remaining) / (own.encoded - other.encoded))
 
     @property
     def is_done(self) -> bool:
-        """Return whether the last test left the measured tone, within the deviation, and decayed as fast."""
-        decay = self.sent.decay_per_s
-        is_as_fast = decay <= 0 or abs(self.found.decay_per_s / decay - 1) < 1 - _ALIKE
-        return abs(self.tests[-1][1]) < -np.log(_ALIKE) and is_as_fast
+        """Return whether the measured tone remained of the last one, within the deviation, with the same decay."""
+        last, decay = self.trials[-1], self.encoded.decay_per_s
+        is_as_fast = decay <= 0 or abs(last.found.decay_per_s / decay - 1) < 1 - _ALIKE
+        return abs(last.remaining) < -np.log(_ALIKE) and is_as_fast
 
     @property
     def gain(self) -> float:
-        """Return the measured amplitude over that of the tone that the tests say was there."""
-        sent, left = self.nearest
-        return self.found.gain if len(self.tests) == 1 else float(np.exp(left / self.power - sent))
+        """Return the measured amplitude over that before the compression."""
+        own = self.nearest
+        return (
+            own.found.gain
+            if len(self.trials) == 1
+            else float(np.exp(own.remaining / self.exponent - own.encoded))
+        )
 
     def following(self) -> MeasuredTone:
-        """Return the tone to test next."""
-        sent, left = self.nearest
-        size = sent - float(np.clip(left, np.log(_LEAST), -np.log(_LEAST))) / self.power
-        below = max((test[0] for test in self.tests if test[1] < 0), default=-np.inf)
-        above = min((test[0] for test in self.tests if test[1] > 0), default=np.inf)
+        """Return the tone of the next trial."""
+        own, found, decay = self.nearest, self.trials[-1].found, self.encoded.decay_per_s
+        size = own.encoded - float(np.clip(own.remaining, np.log(_LEAST), -np.log(_LEAST))) / self.exponent
+        below = max((trial.encoded for trial in self.trials if trial.remaining < 0), default=-np.inf)
+        above = min((trial.encoded for trial in self.trials if trial.remaining > 0), default=np.inf)
         if np.isfinite(above - below) and not min(below, above) < size < max(below, above):
             size = (below + above) / 2
-        measured, decay = self.measured, self.sent.decay_per_s
-        if decay > 0 and self.found.decay_per_s > 0:
-            decay = float(
-                np.clip(measured.decay_per_s - self.found.decay_per_s + decay, decay / 3, 3 * decay)
-            )
-        return replace(measured, phasor=measured.phasor * np.exp(size), decay_per_s=decay)
+        if decay > 0 and found.decay_per_s > 0:
+            excess = found.decay_per_s - decay
+            decay = float(np.clip(self.measured.decay_per_s - excess, decay / 3, 3 * decay))
+        return replace(self.measured, phasor=self.measured.phasor * np.exp(size), decay_per_s=decay)
 
 
 def _loss(search: AmplitudeSearch) -> Loss:
-    gain, found, sent = search.gain, search.found, search.sent
-    relative = SCATTER * found.error / max(abs(found.gain), _LEAST)
-    missed = 0.0 if search.is_done else abs(search.nearest[1])
-    deviation = float(np.hypot(np.hypot(relative, missed) * min(abs(gain), 1.0) / search.power, BESIDE))
-    is_kept = gain >= LOST and deviation <= _UNSURE * gain
-    if is_kept and sent.decay_per_s > 0 and not found.decay_per_s:
-        return Loss(gain, deviation, "", 0.0, sent.decay_per_s)  # any decay may be the codec's
-    if is_kept and sent.decay_per_s > 0:
-        faster = found.decay_per_s - sent.decay_per_s
-        errors = SCATTER * found.decay_error, np.sqrt(2) * BESIDE * sent.decay_per_s, _INEXACT * faster
+    gain, nearest, last, decay = (
+        search.gain,
+        search.nearest,
+        search.trials[-1].found,
+        search.encoded.decay_per_s,
+    )
+    relative = SCATTER * nearest.found.error / max(abs(nearest.found.gain), _LEAST)
+    missed = 0.0 if search.is_done else abs(nearest.remaining)
+    deviation = float(np.hypot(np.hypot(relative, missed) * min(abs(gain), 1.0) / search.exponent, BESIDE))
+    if gain < LOST or deviation > _UNSURE * gain:
+        why = "smaller than the codec lets through: of a test tone of this size "
+        return Loss(gain, deviation, f"{why}{max(gain, 0.0):.2f} ± {deviation:.2f} is left")
+    if decay > 0 and not last.decay_per_s:
+        return Loss(gain, deviation, "", 0.0, decay)  # any decay may be the codec's
+    if decay > 0:
+        faster = last.decay_per_s - decay
+        errors = SCATTER * last.decay_error, np.sqrt(2) * BESIDE * decay, _INEXACT * faster
         deviation = float(np.hypot(deviation, _INEXACT * (gain - 1)))
         return Loss(gain, deviation, "", faster, float(np.linalg.norm(errors)))
-    if is_kept:
-        return Loss(gain, deviation)
-    kept = max(gain, 0.0)
-    why = f"smaller than the codec lets through: of a test tone of this size {kept:.2f} ± {deviation:.2f} is left"
-    return Loss(gain, deviation, why)
+    return Loss(gain, deviation)
 
 
 def _by_pictures(made: CodecSample, mask: np.ndarray, unasked: str) -> Loss:

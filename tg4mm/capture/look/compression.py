@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.codec import LOST, Loss, MeasuredTone, before_compression, codec_losses
+from tg4mm.capture.codec import Loss, MeasuredTone, before_compression, codec_losses
 from tg4mm.capture.look.model import Look, LookLine
 
 
@@ -59,7 +59,7 @@ def _with_decay(line: LookLine, loss: Loss, found: Look) -> LookLine:
     if damping is None or deviation is None:
         return line
     shown = line.decay_per_s
-    if loss.gain < LOST:  # what is left of a steady vibration may do anything
+    if loss.is_lost:  # what is left of a steady vibration may do anything
         return replace(line, damping=None, damping_deviation=None, coded_decay_per_s=shown)
     faster, error = loss.faster or 0.0, loss.faster_deviation
     if not np.isfinite(loss.gain):

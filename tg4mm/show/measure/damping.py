@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import get_window, welch
 
-from tg4mm.capture.codec.loss import LOST, Loss
+from tg4mm.capture.codec.loss import Loss
 from tg4mm.core.lines import FEWEST, Line, fit_lines
 from tg4mm.show.measure.series import Series
 from tg4mm.show.measure.spectrum import Peak, orbit_of
@@ -52,7 +52,7 @@ def with_loss(found: Damping | None, loss: Loss) -> Damping | None:
 
     None where most of the amplitude is known to be lost: what is left of a steady vibration may do anything.
     """
-    if loss.gain < LOST:
+    if loss.is_lost:
         return None
     if found is None or loss.faster is None:
         return found

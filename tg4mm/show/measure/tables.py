@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture.codec import Loss, before_compression
-from tg4mm.capture.codec.loss import LOST
 from tg4mm.core import __version__
 from tg4mm.core.digits import aligned, value_with_deviation
 from tg4mm.core.files import write_atomic
@@ -387,7 +386,7 @@ def _hidden(result: SensorResult, orbit: Orbit) -> list[str]:
 def remarks(peak: Peak, orbit: Orbit, loss: Loss | None = None) -> list[str]:
     """Return the reasons to doubt a peak or its amplitude."""
     out = [] if main_is_above(peak, orbit) else ["not above twice its deviation"]
-    is_lost = loss is not None and loss.gain < LOST
+    is_lost = loss is not None and loss.is_lost
     if (line := peak.line) is not None and not is_lost:
         changes = {"begins": f"begins at {line.start_s or 0.0:.3g} s", "decays": "rings down"}
         changes |= {"grows": "grows", "varies": "varies"}
