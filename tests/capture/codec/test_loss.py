@@ -2,10 +2,12 @@
 
 import itertools
 import json
+from dataclasses import replace
 
 import av
 import numpy as np
 import pytest
+from skimage import data
 
 from tests.capture.sfm.videos import encoded, still, texture, write_video
 from tg4mm.capture.codec import (
@@ -17,6 +19,7 @@ from tg4mm.capture.codec import (
     is_lossless,
     trial,
 )
+from tg4mm.capture.codec.loss import AmplitudeSearch
 from tg4mm.capture.codec.trial import gain_of, probe, shifts_of
 from tg4mm.capture.planes import Orientation
 from tg4mm.capture.scene import video_file
@@ -90,6 +93,47 @@ def test_a_region_is_encoded_alone_where_that_is_the_same(tmp_path, monkeypatch,
     (loss,) = codec_losses(path, [region], [[MeasuredTone(5.0, np.array([amplitude, 0]))]], FPS)[0]
     assert set(sizes) == {size}
     assert abs(loss.gain - amplitude / AMPLITUDE) < 3 * np.hypot(loss.deviation, error / AMPLITUDE)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0, 4.0])
+@pytest.mark.parametrize("amplitude", [0.04, 0.085, 0.1])
+def test_the_search_finds_the_amplitude_of_which_the_measured_one_is_left(amplitude, exponent):
+    """A codec that leaves a share of 0.1 pixels' motion, and of less motion a smaller share, as a power of it."""
+
+    def left_of(size):
+        return 0.9 * size * (size / 0.1) ** (exponent - 1)
+
+    measured_tone = MeasuredTone(5.0, np.array([left_of(amplitude) + 0j, 0]))
+    search = AmplitudeSearch(measured_tone, measured_tone)
+    for k in range(5):
+        size = float(np.linalg.norm(search.encoded.phasor))
+        search.add(trial.TestedTone(left_of(size) / size, 0.01))
+        if search.is_done:
+            break
+        search.encoded = search.following() if k < 4 else search.encoded
+    true = left_of(amplitude) / amplitude
+    if true < 0.5:  # is marked
+        assert search.gain < 0.5
+    else:
+        assert search.is_done
+        assert search.gain == pytest.approx(true, rel=0.06)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_little_is_left_of_a_small_motion_of_a_photograph(tmp_path, seed):
+    """Dividing by the gain of the measured amplitude goes beyond the true one, where nearly all would be left."""
+    rng, base = np.random.default_rng(seed), data.camera()[100:340:2, 160:480:2].astype(float)
+    base = np.repeat(base[..., None], 3, 2)
+    slope, moves = slope_of(base, 1), np.zeros((120, 160, 1))
+    moves[24:96, 30:130] = 1
+    waves = 0.1 * np.cos(2 * np.pi * 5 * np.arange(N) / FPS)
+    frames = [np.clip(base - w * moves * slope + rng.normal(0, 2, base.shape), 0, 255) for w in waves]
+    path = encoded(tmp_path / "a.mp4", [frame.astype(np.uint8) for frame in frames], "libx264", crf="22")
+    (u,) = shifts_of(probe(path, 0.0, N).luma, [REGION.astype(np.float32)], np.arange(N) / FPS)
+    tone = MeasuredTone(5.0, np.array([0.1 + 0j, 0]))
+    true = gain_of(u, [tone], 0, np.arange(N) / FPS)
+    (loss,) = codec_losses(path, [REGION], [[replace(tone, phasor=true.gain * tone.phasor)]], FPS)[0]
+    assert abs(loss.gain - true.gain) < 3 * np.hypot(loss.deviation, true.error)
 
 
 def test_a_part_of_the_stored_pictures_has_the_colours_of_its_place(tmp_path):
