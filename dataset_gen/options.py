@@ -308,13 +308,7 @@ def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, so
     hz, fps = motion.main.law.frequency_hz, values["fps"]
     if options.timesteps is None and fps > 0:  # else refused below
         values = {**values, "timesteps": whole_periods(values["timesteps"], hz, fps)}
-    if values["timesteps"] > 1 and 0 < values["timesteps"] * hz < (1 - _WHOLE) * fps:
-        print(
-            f"{name}: {values['timesteps']} timesteps hold {values['timesteps'] * hz / fps:.2g} periods of {hz:g} Hz, "
-            f"so that the mean of the pictures is not the scene at rest; --timesteps {math.ceil(fps / hz)} hold one",
-            file=sys.stderr,
-        )
-    return Settings(
+    settings = Settings(
         scene=name,
         source=source,
         motion=motion,
@@ -324,6 +318,13 @@ def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, so
         effects=Effects(**_of(Effects, values), keep_video=options.keep_video),
         **_of(Settings, values),
     )
+    if values["timesteps"] > 1 and 0 < values["timesteps"] * hz < (1 - _WHOLE) * fps:
+        print(
+            f"{name}: {values['timesteps']} timesteps hold {values['timesteps'] * hz / fps:.2g} periods of {hz:g} Hz, "
+            f"so that the mean of the pictures is not the scene at rest; --timesteps {math.ceil(fps / hz)} hold one",
+            file=sys.stderr,
+        )
+    return settings
 
 
 def _of(part: type[Any], values: dict[str, Any]) -> dict[str, Any]:
