@@ -20,7 +20,7 @@ _PASSING = 6  # deviations of a cell's own misfit over time, and of key frames' 
 _UNSEEN_NOISE = 4.0  # grey levels², as sensors have: where a codec repeats what rests, its noise is not known
 _AS_NEIGHBOURS = 0.5**0.5  # correlation of a cell's shift with its neighbours': they tell half of its motion
 _NEIGHBOURS = np.array([[1.0, 1, 1], [1, 0, 1], [1, 1, 1]])[None, None]
-_CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
+_CLUSTER = 0.2  # of a neighbourhood of nine: one cell alone is noise, on the border too
 _LOST = 0.03  # share of detail that B-frames lack from which they are treated apart
 _FEWESTOTHERS = 24  # pictures that are not B
 FEWEST_OF_KIND = 8  # pictures from which a cell's typical misfit is known
@@ -215,7 +215,7 @@ def find_masks(series: CellSeries, edges: np.ndarray | None = None) -> Masks:
         series.misfit > _key_frame_noise(series, informative)
     )
     unlike &= _is_most(grid, np.maximum(series.misfit - typical, 0), np.maximum(series.change - typical, 0))
-    clustered = ndimage.uniform_filter(grid.picture(unlike).astype(float), (1, 3, 3), mode="nearest")
+    clustered = ndimage.uniform_filter(grid.picture(unlike).astype(float), (1, 3, 3), mode="constant")
     passed = unlike & (clustered > _CLUSTER).reshape(unlike.shape) & quiet
     passed &= ~_combed(passed)[:, None]
     hidden = ndimage.binary_dilation(grid.picture(passed), np.ones((7, 3, 3))).reshape(passed.shape)
