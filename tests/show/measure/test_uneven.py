@@ -7,7 +7,7 @@ import pytest
 
 from tests.capture.sfm.videos import write_video
 from tg4mm.show.measure import Sensor, measure
-from tg4mm.show.measure.flat import uneven_share
+from tg4mm.show.measure.flat import unevenness
 from tg4mm.show.measure.video import prepare_video
 
 pytest.importorskip("av", reason="needs the extra sfm")
@@ -24,11 +24,14 @@ def test_the_share_is_that_of_the_parts_and_noise_adds_nothing(seed):
 
     # Mean over the area: 1.025; so many pixels that none is uneven within.
     areas, sizes = [1e4, 3e4], [1.4, 0.9]
-    assert uneven_share(shown(1, 0), [shown(s, 0) for s in sizes], areas) == pytest.approx(0.025, rel=0.01)
-    share = uneven_share(shown(1, 0.05), [shown(s, 0.05) for s in (1.4, 1.4)], areas)
-    assert share == pytest.approx(0.4, abs=0.05)
-    assert uneven_share(shown(1, 0.05), [shown(1, 0.05)] * 2, areas) < 0.03
-    assert uneven_share(shown(1, 0), [], []) == 0
+    found = unevenness(shown(1, 0), [shown(s, 0) for s in sizes], areas)
+    assert found.share == pytest.approx(0.025, rel=0.01)
+    assert found.spread == pytest.approx(np.sqrt(0.25 * 0.375**2 + 0.75 * 0.125**2))
+    found = unevenness(shown(1, 0.05), [shown(s, 0.05) for s in (1.4, 1.4)], areas)
+    assert found.share == pytest.approx(0.4, abs=0.05)
+    assert found.spread < 0.1
+    assert unevenness(shown(1, 0.05), [shown(1, 0.05)] * 2, areas).share < 0.03
+    assert unevenness(shown(1, 0), [], []).share == 0
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ and whose noise is new in each frame has lost nothing; any other is marked.
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from tg4mm.capture.tracking.registration import Box
 from tg4mm.capture.video import ALONE, BETWEEN, FORWARD, av_module
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.lines import CodecChange
+from tg4mm.core.pictures.decode import THREADS
 
 # The deviation of a gain: times the test's standard error, and beside it (docs/uncertainty.md, films of x264, x265)
 SCATTER, BESIDE = 1.15, 0.06
@@ -148,37 +150,55 @@ def _tested(
     without_between: bool,
     frames: int,
 ) -> list[list[Loss]]:
-    """times [F] seconds, of frames that show one picture the same.
+    """times [F] seconds, of frames that show one picture the same."""
+
+    def searched(group: Sequence[int], box: Box | None) -> list[list[Loss]]:
+        part = made if box is None else made.within(box)
+        inside = [masks[k] if box is None else masks[k][box] for k in group]
+        return _searched(part, inside, [tones[k] for k in group], times, seed, without_between, frames)
+
+    found: list[list[Loss]] = [[] for _ in tones]
+    groups = _groups(made, [k for k, of_group in enumerate(tones) if of_group], masks)
+    with ThreadPoolExecutor(THREADS) as pool:
+        for (group, _), losses in zip(groups, pool.map(lambda own: searched(*own), groups), strict=True):
+            for k, own in zip(group, losses, strict=True):
+                found[k] = own
+    return found
+
+
+def _searched(
+    made: CodecSample,
+    masks: Sequence[np.ndarray],
+    tones: Sequence[Sequence[MeasuredTone]],
+    times: np.ndarray,
+    seed: int,
+    without_between: bool,
+    frames: int,
+) -> list[list[Loss]]:
+    """Search the amplitudes of regions that are encoded together.
 
     The first encoding has `frames`, the others as many as make their standard error as small as what is beside it.
     """
-    found: list[list[Loss]] = [[] for _ in tones]
-    for group, box in _groups(made, [k for k, of_group in enumerate(tones) if of_group], masks):
-        part = made if box is None else made.within(box)
-        of_group = [
-            [replace(t, phasor=made.orientation.stored_vector(t.phasor)) for t in tones[k]] for k in group
-        ]
-        searches = [[AmplitudeSearch(tone, tone) for tone in of_region] for of_region in of_group]
-        every = [search for of_region in searches for search in of_region]
-        inside = [masks[k] if box is None else masks[k][box] for k in group]
-        length = min(frames, len(times))
-        for round_ in range(_ROUNDS):
-            encoded = [[search.encoded for search in of_region] for of_region in searches]
-            results = through(part, inside, encoded, times[:length], seed + round_, without_between)
-            for search, result in zip(
-                every, (tone for of_region in results for tone in of_region), strict=True
-            ):
-                search.add(result)
-            needed = length * (SCATTER * max(search.trials[-1].found.error for search in every) / BESIDE) ** 2
-            if all(search.is_done for search in every) and (round_ or needed <= length):
-                break
-            if round_ + 1 < _ROUNDS:
-                length = int(np.clip(needed, length, len(times)))
-                for search in every:
-                    search.encoded = search.following()
-        for k, of_region in zip(group, searches, strict=True):
-            found[k] = [_loss(search) for search in of_region]
-    return found
+    of_group = [
+        [replace(t, phasor=made.orientation.stored_vector(t.phasor)) for t in of_region]
+        for of_region in tones
+    ]
+    searches = [[AmplitudeSearch(tone, tone) for tone in of_region] for of_region in of_group]
+    every = [search for of_region in searches for search in of_region]
+    length = min(frames, len(times))
+    for round_ in range(_ROUNDS):
+        encoded = [[search.encoded for search in of_region] for of_region in searches]
+        results = through(made, masks, encoded, times[:length], seed + round_, without_between)
+        for search, result in zip(every, (tone for of_region in results for tone in of_region), strict=True):
+            search.add(result)
+        needed = length * (SCATTER * max(search.trials[-1].found.error for search in every) / BESIDE) ** 2
+        if all(search.is_done for search in every) and (round_ or needed <= length):
+            break
+        if round_ + 1 < _ROUNDS:
+            length = int(np.clip(needed, length, len(times)))
+            for search in every:
+                search.encoded = search.following()
+    return [[_loss(search) for search in of_region] for of_region in searches]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,9 @@ rolling shutter, rows are brought to the time at which the region as a whole is 
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -16,6 +18,7 @@ from tg4mm.capture.tracking.row_times import bands_of
 from tg4mm.capture.tracking.template import Solved, Template, Turn
 from tg4mm.core.even_clock import later
 from tg4mm.core.memory import mapped_zeros
+from tg4mm.core.pictures.decode import THREADS
 
 LARGE_PX = 1 / 3  # motion of most frames from which it is iterated
 UNEXPLAINED = 0.12  # share of the change that a small motion leaves, from which whole pixels are sought
@@ -259,16 +262,21 @@ def region_motions(
     regions = [TrackedRegion.of(mask) for mask in masks]
     kept = [mapped_zeros((len(times_s), *region.shape), np.uint16) for region in regions]
     first = 0
-    for some in pictures:
-        for region, cut in zip(regions, kept, strict=True):
-            grey = some(region.box)
-            cut[first : first + len(grey)] = np.rint(np.clip(grey, 0, 255) * _LEVELS)
-        first += len(grey)
+    with ThreadPoolExecutor(THREADS) as pool:
+        for some in pictures:
+            for region, cut in zip(regions, kept, strict=True):
+                grey = some(region.box)
+                list(pool.map(partial(_keep, cut[first:]), range(len(grey)), grey))
+            first += len(grey)
     out = []
     for region, cut in zip(regions, kept, strict=True):
         out.append(_measured(region, cut, times_s, readout_s, masks[0].shape[0]))
         step()
     return out
+
+
+def _keep(kept: np.ndarray, k: int, grey: np.ndarray) -> None:
+    kept[k] = np.rint(np.clip(grey, 0, 255) * _LEVELS)
 
 
 def _measured(
@@ -293,15 +301,11 @@ def _estimated(
     mean = (kept[:, *region.inner].mean(0, dtype=np.float64) / _LEVELS).astype(np.float32)
     clock = RowClock.of(region, mean, times_s, readout_s, height) if readout_s else None
     template = Template(mean, region, region.turn)
-    if clock is None:
-        parts = [template.products(some) for some in _chunks(kept, region)]
-        products = np.concatenate([p for p, _ in parts], 1), np.concatenate([e for _, e in parts], 1)
-    else:
-        banded = [clock.parts_of(template, some) for some in _chunks(kept, region)]
-        products = clock.brought(
-            np.concatenate([p for p, _ in banded], 2), np.concatenate([e for _, e in banded], 1)
-        )
-    solved = template.solved(*products)
+    of_some = template.products if clock is None else partial(clock.parts_of, template)
+    with ThreadPoolExecutor(THREADS) as pool:
+        parts = list(pool.map(lambda some: of_some(_inner(kept[some], region)), _chunks(kept)))
+    products = np.concatenate([p for p, _ in parts], -2), np.concatenate([e for _, e in parts], 1)
+    solved = template.solved(*(products if clock is None else clock.brought(*products)))
     weights = np.array([float((root > 0).sum()) for root in region.root])
     change = np.average(solved.change, axis=0, weights=weights)
     again = _iterated(region, kept, template, solved, clock) if kept.size <= _MOST else None
@@ -347,9 +351,12 @@ def _iterated(
     return best
 
 
-def _chunks(kept: np.ndarray, region: TrackedRegion) -> Iterable[np.ndarray]:
-    """Grey levels of the inner box, a few frames at a time."""
-    inner = kept[:, *region.inner]
-    step = max(1, _AT_ONCE // inner[0].size)
-    for first in range(0, len(inner), step):
-        yield inner[first : first + step].astype(np.float32) / _LEVELS
+def _chunks(kept: np.ndarray) -> list[slice]:
+    """Return a few frames at a time."""
+    step = max(1, _AT_ONCE // kept[0].size)
+    return [slice(first, first + step) for first in range(0, len(kept), step)]
+
+
+def _inner(kept: np.ndarray, region: TrackedRegion) -> np.ndarray:
+    """Return grey levels of the inner box."""
+    return kept[:, *region.inner].astype(np.float32) / _LEVELS

@@ -52,6 +52,27 @@ class FlatSensor:
     labels: tuple[str, ...]
     motion: RegionMotion
     series: Series
+    spread: float  # of its parts' motion over the mean, see `Unevenness`
+
+
+@dataclass(frozen=True)
+class Unevenness:
+    """How differently the parts of a region move, over the region's motion; 0 without parts."""
+
+    offset: float = 0.0  # of the mean over the area
+    spread: float = 0.0  # standard deviation of the parts
+    pixels: float = 1.0
+
+    @property
+    def share(self) -> float:
+        """Return the relative difference of the region's motion, measured as one body, from the mean over its area.
+
+        Measured so, a region moves as its most textured parts do. How much that differs from the mean is known from
+        its parts, but for what is uneven within each: an element of texture covers about nine pixels, and its weight
+        varies by as much as its mean, so that N pixels whose shares of the motion spread by s are wrong by s √(9 / N);
+        within parts of N / 9 pixels the spread is a third.
+        """
+        return float(np.hypot(self.offset, self.spread / np.sqrt(self.pixels)))
 
 
 def flat_sensors(
@@ -73,7 +94,7 @@ def flat_sensors(
     parts, out = iter(few), []
     for sensor, mask, motion, own in zip(sensors, masks, motions, parts_of_each, strict=True):
         there = [next(parts).shift for _ in own]
-        uneven = uneven_share(motion.shift[:, ::every], there, [float(part.sum()) for part in own])
+        uneven = unevenness(motion.shift[:, ::every], there, [float(part.sum()) for part in own])
         out.append(_measured(scene, sensor, mask, motion, uneven))
     return out
 
@@ -87,17 +108,13 @@ def _parts(mask: np.ndarray) -> list[np.ndarray]:
     return parts if min(np.count_nonzero(part) for part in parts) >= _FEWEST_IN_PART else []
 
 
-def uneven_share(shift: np.ndarray, parts: Sequence[np.ndarray], areas: Sequence[float]) -> float:
-    """Return the relative difference of a region's motion, shift [2, F, 3], from the mean over its area.
+def unevenness(shift: np.ndarray, parts: Sequence[np.ndarray], areas: Sequence[float]) -> Unevenness:
+    """Return how a region's motion, shift [2, F, 3], is distributed over its parts, shifts [2, F, 3] with their areas.
 
-    Measured as one body, a region whose parts move differently moves as its most textured parts do. How much that is
-    is known from its parts, shifts [2, F, 3] with their areas, but for what is uneven within each: an element of
-    texture covers about nine pixels, and its weight varies by as much as its mean, so that N pixels whose shares of the
-    motion spread by s are wrong by s √(9 / N); within parts of N / 9 pixels the spread is a third. Noise cancels
-    between even and odd frames. 0 without parts.
+    Noise cancels between even and odd frames.
     """
     if not parts:
-        return 0.0
+        return Unevenness()
     whole, *own = (s[..., :2].mean(0) - s[..., :2].mean((0, 1)) for s in (shift, *parts))
     shares = [
         [float((o[k::2] * whole[k::2]).sum() / max((whole[k::2] ** 2).sum(), 1e-30)) for o in own]
@@ -105,9 +122,9 @@ def uneven_share(shift: np.ndarray, parts: Sequence[np.ndarray], areas: Sequence
     ]
     weights = np.array(areas) / sum(areas)
     means = np.array(shares) @ weights
-    between = (means[0] - 1) * (means[1] - 1)
+    offset2 = (means[0] - 1) * (means[1] - 1)
     spread2 = float(weights @ ((shares[0] - means[0]) * (shares[1] - means[1])))
-    return float(np.sqrt(max(between, 0) + max(spread2, 0) / sum(areas)))
+    return Unevenness(float(np.sqrt(max(offset2, 0))), float(np.sqrt(max(spread2, 0))), sum(areas))
 
 
 def _mask(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarray]) -> np.ndarray:
@@ -161,7 +178,7 @@ def _grey(pictures: Pictures, rows: list[int], decoded: dict[str, Strips], box: 
 
 
 def _measured(
-    scene: Prepared, sensor: Sensor, mask: np.ndarray, motion: RegionMotion, uneven: float
+    scene: Prepared, sensor: Sensor, mask: np.ndarray, motion: RegionMotion, uneven: Unevenness
 ) -> FlatSensor:
     frames = scene.observations.frames[0]
     if not np.trace(motion.noise.sum(0)[:2, :2]) > _TEXTURE * float((mask > 0).sum()):
@@ -180,11 +197,12 @@ def _measured(
     labels = OF_ONE_CAMERA[:2]
     times = clock.times_s + motion.delay_s
     series = series_of(equations, times, body.axes, labels, body.radius, clock.name)
-    share = np.hypot(series.model_share, np.hypot(GAIN_ERROR, uneven))
+    share = np.hypot(series.model_share, np.hypot(GAIN_ERROR, uneven.share))
     size = np.linalg.norm(series.displacement, axis=1)
     of_model = np.where(motion.hidden[:, None], size.max(), share * size[:, None])
     deviation = np.sqrt(series.noise**2 + of_model**2)
-    return FlatSensor(mask, body, labels, motion, replace(series, model_share=share, deviation=deviation))
+    series = replace(series, model_share=share, deviation=deviation)
+    return FlatSensor(mask, body, labels, motion, series, uneven.spread)
 
 
 def _body(scene: Prepared, frames: PosedFrames, mask: np.ndarray, motion: RegionMotion) -> RigidBody:

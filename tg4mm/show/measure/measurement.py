@@ -195,7 +195,7 @@ def _flat_results(
         result = _result(scene, sensor, own.body, [own.series], None)
         if isinstance(pictures, GreyPictures):
             result = replace(result, codec=_codec_change(own, pictures.kinds, result.px_per_unit))
-        out.append(replace(result, mask=own.mask, motion=own.motion))
+        out.append(replace(result, mask=own.mask, motion=own.motion, spread=own.spread))
     return out
 
 
