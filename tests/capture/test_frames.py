@@ -13,7 +13,7 @@ from tests.capture.conftest import edit
 from tests.capture.sfm.videos import still, write_video
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.convert import write_nerfstudio
-from tg4mm.capture.frames import each_picture
+from tg4mm.capture.frames import _Reader, each_picture, read_ahead
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.capture.planes import colours, opaque
 from tg4mm.capture.sfm.clip import Clip, TimeWindow
@@ -22,6 +22,7 @@ from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.capture.sfm.undistort import Lens
 from tg4mm.capture.video import video_frames
 from tg4mm.core.errors import CaptureError
+from tg4mm.fit.space import rest_views
 
 T = 60
 
@@ -59,6 +60,33 @@ def test_a_dataset_holds_the_video_and_no_pictures(dataset, truth):
     np.testing.assert_array_equal(load_images(capture).data[..., :3], np.stack(truth))
     strip = FilePictures(capture).strips([3, 50, 4])
     np.testing.assert_array_equal(strip(slice(5, 9))[..., :3], np.stack([truth[k][5:9] for k in (3, 50, 4)]))
+
+
+@pytest.mark.parametrize("_", range(5))
+def test_the_mean_of_a_video_asks_for_its_frames_in_their_order(dataset, truth, monkeypatch, _):
+    """Out of order each is decoded again from a key frame on; a mean picture took nine times as long."""
+    asked, read = [], _Reader.read
+    monkeypatch.setattr(_Reader, "read", lambda self, number: asked.append(number) or read(self, number))
+    found = rest_views(load_capture(dataset), FilePictures(load_capture(dataset)))
+    assert asked == sorted(asked)
+    np.testing.assert_allclose(found.rgb[0], np.mean(truth, 0) / 255, atol=1e-6)
+
+
+def test_reading_ahead_changes_neither_order_nor_errors():
+    def items():
+        yield from range(5)
+        raise CaptureError("the sixth")
+
+    got = list[int]()
+    with pytest.raises(CaptureError, match="the sixth"):
+        got.extend(read_ahead(items(), 3))
+    assert list(read_ahead(iter(range(100)))) == list(range(100))
+    assert got == list(range(5))
+    made = list[int]()
+    some = read_ahead((made.append(k) or k for k in range(100)), 2)
+    assert [next(some), next(some)] == [0, 1]
+    some.close()
+    assert len(made) <= 5
 
 
 def test_a_window_and_its_repeats_count_from_the_first_frame(video, tmp_path):

@@ -8,14 +8,16 @@ import math
 import os
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from threading import Lock
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,6 +26,7 @@ from tg4mm.capture.video import VIDEO_SUFFIXES, av_module, opened, silent, strea
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.decode import THREADS, ImageHeader, decode, image_header
 
+T = TypeVar("T")
 _FRAME = re.compile(
     rf"(.+(?:{'|'.join(map(re.escape, VIDEO_SUFFIXES))}))#([0-9]{{1,9}})", re.IGNORECASE | re.DOTALL
 )
@@ -101,25 +104,44 @@ def picture(path: Path) -> np.ndarray:
 
 
 def each_picture(paths: Sequence[Path], use: Callable[[int, np.ndarray], None]) -> Iterator[int]:
-    """Call `use` with every number of `paths` and its picture: files by threads, a video's frames in its order.
+    """Call `use` in threads with every number of `paths` and its picture; a video's frames are decoded in its order.
 
     Yields how many are done. On the first error, and on Ctrl-C, no further ones are begun.
     """
     frames = [(frame, k) for k, path in enumerate(paths) if (frame := frame_of(path)) is not None]
     others = [k for k in range(len(paths)) if frame_of(paths[k]) is None] if len(frames) < len(paths) else []
-    done = 0
-    for _, k in sorted(frames):
-        use(k, picture(paths[k]))
-        yield (done := done + 1)
+    done, futures = 0, deque[Future[None]]()
     with ThreadPoolExecutor(THREADS) as pool:
-        futures = [pool.submit(lambda k: use(k, decode(paths[k])), k) for k in others]
         try:
-            for future in futures:
-                future.result()
+            for _, k in sorted(frames):
+                futures.append(pool.submit(use, k, picture(paths[k])))
+                if len(futures) > THREADS:
+                    futures.popleft().result()
+                    yield (done := done + 1)
+            futures.extend(pool.submit(lambda k: use(k, decode(paths[k])), k) for k in others)
+            while futures:
+                futures.popleft().result()
                 yield (done := done + 1)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def read_ahead(items: Iterable[T], most: int = THREADS) -> Iterator[T]:
+    """Yield the items in their order, while one thread makes up to `most` of them in advance."""
+    iterator = iter(items)
+    with ThreadPoolExecutor(1) as pool:
+
+        def following() -> Future[tuple[T, ...]]:
+            return pool.submit(lambda: tuple(islice(iterator, 1)))
+
+        ahead = deque(following() for _ in range(most))
+        try:
+            while one := ahead.popleft().result():
+                ahead.append(following())
+                yield one[0]
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 class _Reader:

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from tg4mm.capture.cameras import check_picture_size
+from tg4mm.capture.frames import read_ahead
 from tg4mm.capture.look.baseline import BaselineMisfit, baseline_of
 from tg4mm.capture.look.matching import Patch, matched, patches_of
 from tg4mm.capture.tracking.template import Grid, Template
@@ -84,7 +85,7 @@ def read_cells(
     waiting: list[np.ndarray] = []
     shape: tuple[int, ...] | None = None
     first: np.ndarray | None = None
-    for picture in pictures:
+    for picture in read_ahead(pictures):
         if shape is not None and picture.grey.shape != shape:
             raise CaptureError(
                 f"{where}: picture {len(times)} has {_size(picture.grey.shape)} pixels, the first {_size(shape)}"

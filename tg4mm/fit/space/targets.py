@@ -13,6 +13,7 @@ import torch
 
 from tg4mm.capture import Capture, ImageStack, SurfacePoints
 from tg4mm.capture.cameras import middle_distance, relative_to
+from tg4mm.capture.frames import frame_of, read_ahead
 from tg4mm.capture.pictures import FilePictures, mask_of
 from tg4mm.core.pictures.decode import THREADS
 from tg4mm.core.progress import progress
@@ -43,7 +44,7 @@ class RestViews:
 def rest_views(capture: Capture, images: ImageStack | FilePictures) -> RestViews:
     """Group the images by camera and average each group. Cameras come in order of their first image.
 
-    Each picture is decoded once, by threads; of those on disk as many are in memory at a time.
+    Each picture is decoded once; of those on disk few are in memory at a time.
     """
     _, first = np.unique(capture.camera_ids, return_index=True)
     first = np.sort(first)
@@ -87,7 +88,10 @@ def _masked_mean(
 
 
 def _in_turn(images: ImageStack | FilePictures, rows: np.ndarray) -> Iterator[np.ndarray]:
-    """Pictures as stored, as many decoded at once as there are threads."""
+    """Pictures as stored, some decoded in advance: files by several threads, a video's frames by one, in order."""
+    if isinstance(images, FilePictures) and any(map(frame_of, images.capture.paths)):
+        yield from read_ahead(map(images.stored, rows.tolist()))
+        return
     with ThreadPoolExecutor(THREADS) as pool:
         for begin in range(0, len(rows), THREADS):
             yield from pool.map(images.stored, rows[begin : begin + THREADS].tolist())
@@ -99,23 +103,27 @@ class _Sum:
     def __init__(self, size: tuple[int, ...], maximum: int) -> None:
         self._maximum = maximum  # the stored value that means 1
         kind = np.uint32 if maximum < 256 else np.uint64  # the former takes 66,000 pictures of 8 bits
-        self._colour: np.ndarray = np.zeros((*size, 3), kind)  # in units of 1 / maximum²
+        self._opaque: np.ndarray = np.zeros((*size, 4), kind)  # opaque pictures, in units of 1 / maximum
+        self._colour: np.ndarray = np.zeros((*size, 3), kind)  # the others, in units of 1 / maximum²
         self._alpha: np.ndarray = np.zeros(size, np.uint32)  # in units of 1 / maximum
 
     def add(self, picture: np.ndarray) -> None:
         """picture: [H, W, 4] as stored, straight alpha."""
-        colour, alpha = picture[..., :3].astype(self._colour.dtype), picture[..., 3:]
-        self._alpha += alpha[..., 0]
+        alpha = picture[..., 3:]
         if alpha.min() == self._maximum:
-            colour *= self._colour.dtype.type(self._maximum)
-        else:
-            colour *= alpha
-            colour += (self._maximum - alpha).astype(colour.dtype) * colour.dtype.type(self._maximum)
+            self._opaque += picture
+            return
+        colour = picture[..., :3].astype(self._colour.dtype)
+        self._alpha += alpha[..., 0]
+        colour *= alpha
+        colour += (self._maximum - alpha).astype(colour.dtype) * colour.dtype.type(self._maximum)
         self._colour += colour
 
     def means(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Colour [H, W, 3] and alpha [H, W] in 0..1 of so many pictures."""
-        return self._colour / (count * self._maximum**2), self._alpha / (count * self._maximum)
+        colour = self._colour + self._opaque[..., :3] * self._colour.dtype.type(self._maximum)
+        alpha = self._alpha + self._opaque[..., 3]
+        return colour / (count * self._maximum**2), alpha / (count * self._maximum)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from tg4mm.capture.pictures import Pictures, Strips, grey_over_white
+from tg4mm.capture.frames import read_ahead
+from tg4mm.capture.pictures import Strips, grey_over_white
 from tg4mm.capture.tracking.region import Frames, RegionMotion, region_motions
 from tg4mm.capture.tracking.registration import Box
 from tg4mm.capture.tracking.template import GAIN_ERROR
@@ -85,7 +86,7 @@ def flat_sensors(
     frames = scene.observations.frames[0]
     masks = [_mask(sensor, scene, clusters) for sensor in sensors]
     parts_of_each = [_parts(mask) for mask in masks]
-    motions = region_motions(_chunks(scene), masks, frames.times_s, frames.readout_s, step)
+    motions = region_motions(read_ahead(_chunks(scene), 1), masks, frames.times_s, frames.readout_s, step)
     every = max(1, len(frames.rows) // _FRAMES_OF_PARTS)
     flat = [part for own in parts_of_each for part in own]
     few = (
@@ -164,17 +165,21 @@ def _chunks(scene: Prepared, every: int = 1) -> Iterator[Frames]:
     """Grey levels of boxes of every `every`th picture, a few frames at a time."""
     pictures, rows = scene.observations.pictures, scene.observations.frames[0].rows[::every]
     for first in range(0, len(rows), _AT_ONCE):
-        yield partial(_grey, pictures, rows[first : first + _AT_ONCE].tolist(), {})
+        some = rows[first : first + _AT_ONCE].tolist()
+        if isinstance(pictures, GreyPictures):
+            yield partial(_stored_grey, pictures, some)
+        else:
+            yield partial(_grey, pictures.strips(some), pictures.maximum)
 
 
-def _grey(pictures: Pictures, rows: list[int], decoded: dict[str, Strips], box: Box) -> np.ndarray:
-    """Return grey levels [f, h, w] of a box of some pictures, which are decoded once."""
-    if isinstance(pictures, GreyPictures):
-        return pictures.data[rows[0] : rows[-1] + 1, *box][np.array(rows) - rows[0]].astype(np.float32)
-    if "all" not in decoded:
-        decoded["all"] = pictures.strips(rows)
-    raw = decoded["all"]
-    return grey_over_white(raw(box[0])[:, :, box[1]], pictures.maximum)
+def _stored_grey(pictures: GreyPictures, rows: list[int], box: Box) -> np.ndarray:
+    """Return grey levels [f, h, w] of a box of some pictures."""
+    return pictures.data[rows[0] : rows[-1] + 1, *box][np.array(rows) - rows[0]].astype(np.float32)
+
+
+def _grey(decoded: Strips, maximum: int, box: Box) -> np.ndarray:
+    """Return grey levels [f, h, w] of a box of some pictures, which are decoded."""
+    return grey_over_white(decoded(box[0])[:, :, box[1]], maximum)
 
 
 def _measured(
