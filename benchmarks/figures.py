@@ -9,9 +9,11 @@ A table stands between `<!-- figures: NAME -->` and `<!-- end -->`; a table of t
 import argparse
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.means import half_width, scalars
@@ -34,7 +36,8 @@ def number(form: str, value: float | None, half: float | None = None) -> str:
 
 def split_tables(results: Results, split: str) -> Made:
     """Closure and SSIM of every method over α, error and MAC of every set."""
-    return {split: over_alpha(results), f"{split}_sets": _by_set(results)}
+    alphas = sorted((a for a in results["lines"][0]["alphas"] if float(a) > 0), key=float)
+    return {split: over_alpha(pictures_table(results, alphas)), f"{split}_sets": _by_set(results)}
 
 
 def bounds_table(text: str, group: str) -> Made:
@@ -57,22 +60,31 @@ def _named(row: str) -> str:
 
 
 def rivals_tables(results: Results) -> Made:
-    """SSIM and LPIPS of every row on every set, and displacement errors. A size other than 128² is named."""
-    lines = {(x["set"], x["row"]): x["alphas"] for x in results["lines"]}
+    """SSIM and LPIPS of every row on every set, and displacement errors."""
+    pictures, errors = pictures_table(results, _OF_RIVALS), _by_set(results)  # after the sets stand means
+    names = list(dict.fromkeys(title.rpartition(", ")[0] for title in pictures["header"][1:]))
+    errors["rows"] = [[name, *row[1:]] for name, row in zip(names, errors["rows"], strict=False)]
+    return {"rivals": pictures, "rivals_errors": errors}
+
+
+def pictures_table(results: Results, alphas: Sequence[str]) -> dict[str, Any]:
+    """SSIM and LPIPS of every row on every set of the largest group. A size other than 128² is named."""
+    most = max((m["sets"] for m in results["line_means"]), key=len)  # other groups have other sizes
+    lines = {(x["set"], x["row"]): x["alphas"] for x in results["lines"] if x["set"] in most}
     sets, names = (list(dict.fromkeys(key[i] for key in lines)) for i in (0, 1))
     names.sort(key=lambda row: (row == CEILING) - (row == STATIC))
-    places = [(label, a) for label in sets for a in _OF_RIVALS]
-    rows = []
+    places, rows = [(label, a) for label in sets for a in alphas], []
     for row in names:
         scores = (lines.get((label, row), {}).get(a, {}) for label, a in places)
-        cells = ("/".join(number("{:.4f}", s[key]) for key in ("ssim", "lpips")) if s else "" for s in scores)
+        cells = (
+            "/".join(filter(None, (number("{:.4f}", s.get(key)) for key in ("ssim", "lpips"))))
+            for s in scores
+        )
         rows.append([_named(row), *cells])
     width = {s["label"]: s["width"] for s in results["sets"]}
-    title = {x: x.partition("_")[0] + ("" if width[x] == 128 else f" {width[x]}²") for x in sets}
-    header = ["SSIM/LPIPS at α", *(f"{title[label]}, {a}" for label, a in places)]
-    errors = _by_set(results)  # after the sets stand means
-    errors["rows"] = [[title[x], *row[1:]] for x, row in zip(sets, errors["rows"], strict=False)]
-    return {"rivals": {"header": header, "rows": rows}, "rivals_errors": errors}
+    title = {x: _set_name(x) if len(most) > 8 else x.partition("_")[0] for x in sets}
+    title = {x: name + ("" if width[x] == 128 else f" {width[x]}²") for x, name in title.items()}
+    return {"header": ["SSIM/LPIPS at α", *(f"{title[label]}, {a}" for label, a in places)], "rows": rows}
 
 
 def merged(old: Made, new: Made) -> Made:
@@ -93,23 +105,25 @@ def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     return {"header": header, "rows": [[cells.get((row, title), "") for title in header] for row in rows]}
 
 
-def over_alpha(results: Results) -> dict[str, Any]:
-    """Closure, with half of its 95 % interval, and SSIM of every row over α."""
-    most = max((m["sets"] for m in results["line_means"]), key=len)  # other groups have other sizes
-    means = [m for m in results["line_means"] if set(m["sets"]) <= set(most)]
-    means.sort(key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
-    alphas, rows = sorted((a for a in means[0]["alphas"] if float(a) > 0), key=float), []
-    for m in means:
-        scores = ((m["alphas"][a], m.get("half", {}).get(a, {})) for a in alphas)
-        cells = (
-            (
-                number("{:.2f}", pair[0].get("closure"), pair[1].get("closure") or None),
-                number("{:.4f}", pair[0]["ssim"]),
-            )
-            for pair in scores
-        )
-        on = "" if m["n_sets"] == len(most) else f", {m['n_sets']} of {len(most)} sets"
-        rows.append([_named(m["row"]) + on, *(", ".join(filter(None, cell)) for cell in cells)])
+def over_alpha(pictures: dict[str, Any]) -> dict[str, Any]:
+    """Closure, with half of its 95 % interval, and SSIM over α, of every row of `pictures_table`."""
+    places = [tuple(title.rpartition(", ")[::2]) for title in pictures["header"][1:]]
+    ssim = {
+        row[0]: {at: float(cell.partition("/")[0]) for at, cell in zip(places, row[1:], strict=True) if cell}
+        for row in pictures["rows"]
+    }
+    still, best, most, rows = ssim[STATIC], ssim[CEILING], len({x for x, _ in places}), []
+    alphas = list(dict.fromkeys(a for _, a in places))
+    for name, own in ssim.items():
+        cells = []
+        for alpha in alphas:
+            at = [(x, a) for x, a in own if a == alpha]
+            closures = [(own[x] - still[x]) / (best[x] - still[x]) for x in at]
+            half = half_width(closures, [x.partition(" ")[0] for x, _ in at]) or None
+            shown = number("{:.2f}", float(np.mean(closures)), half)
+            cells.append(f"{shown}, {number('{:.4f}', float(np.mean([own[x] for x in at])))}")
+        count = len({x for x, _ in own})
+        rows.append([name + ("" if count == most else f", {count} of {most} sets"), *cells])
     return {"header": ["closure, SSIM", *(f"α = {a}" for a in alphas)], "rows": rows}
 
 
@@ -145,6 +159,18 @@ def _error(values: Mapping[str, float | None], halves: Mapping[str, float | None
     halves = halves or {}
     error = number("{:.1f}", *(_times(x.get("displacement_error"), 100) for x in (values, halves)))
     return ", ".join(filter(None, (error, number("{:.3f}", values.get("mac"), halves.get("mac")))))
+
+
+def with_mean(rows: list[list[str]]) -> list[list[str]]:
+    """The rows of sets, `error, MAC` of every method, and their mean with half of its 95 % interval."""
+    rows = [row for row in rows if row[0] != "mean"]
+    scenes, mean = [row[0].partition(" ")[0] for row in rows], ["mean"]
+    for column in zip(*(row[1:] for row in rows), strict=True):
+        both = np.array([[float(x) for x in cell.split(", ")] for cell in column if cell]).T
+        of = [scene for scene, cell in zip(scenes, column, strict=True) if cell]
+        forms = zip(("{:.1f}", "{:.3f}"), both, strict=True)
+        mean.append(", ".join(number(form, float(x.mean()), half_width(x, of)) for form, x in forms))
+    return [*rows, mean]
 
 
 def _times(value: float | None, factor: float) -> float | None:
@@ -240,8 +266,12 @@ def run(options: argparse.Namespace) -> None:
         figures |= figures_of(_read(options.results))
     for split in [name for name in ("dev", "test", "large") if vars(options)[name]]:
         figures["tables"] = merged(figures["tables"], split_tables(_read(vars(options)[split]), split))
-    if options.large:  # of every set, in the file alone
-        figures["tables"]["large_pictures"] = rivals_tables(_read(options.large))["rivals"]
+    if options.large:  # of a part of the sets the rest stays; the means are of all
+        own = {"large_pictures": rivals_tables(_read(options.large))["rivals"]}
+        made = merged(figures["tables"], own)
+        made["large"] = over_alpha(made["large_pictures"])
+        made["large_sets"]["rows"] = with_mean(made["large_sets"]["rows"])
+        figures["tables"] = made
     if options.bounds:
         text = Path(options.bounds).read_text(encoding="utf-8")
         figures["tables"] = merged(figures["tables"], bounds_table(text, options.group))

@@ -1,9 +1,8 @@
-"""Plates that move by .05 to 3 px in one film: found over true amplitude by `look`, `train` and `measure`.
+"""Plates that move by .05 to 3 px in one film: found over true amplitude by `look` and `measure`.
 
-python -m benchmarks whole_pixels DIR --codec libx264    # keeps the film, its dataset and its run in DIR
+python -m benchmarks whole_pixels DIR --codec libx264    # keeps the film in DIR
 """
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,15 +10,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.calibration.film import Coding, Film, Layer, sliding, texture, write_video
-from tg4mm.capture import load_capture
 from tg4mm.capture.look import look
-from tg4mm.capture.sfm.reconstruct import reconstruct
-from tg4mm.fit.motion.animate import displacement_at
-from tg4mm.run import Run
-from tg4mm.run.train import train
 from tg4mm.show.measure import Sensor, SensorResult, prepare_video
 from tg4mm.show.measure.measurement import measure_one
-from tg4mm.show.result.reading import pixel_rows
 
 OPTIONS: dict[str, Any] = {"out": Path, "--codec": "libx264", "--seed": 0}
 WIDTH, HEIGHT, FPS, FRAMES, BITS_PER_S, NOISE = 480, 270, 30, 160, 8_000_000, 2.5
@@ -57,39 +50,16 @@ def figures(result: SensorResult, k: int) -> str:
     return f"{size:.2f} ({error:.2f})"
 
 
-def modes(run: Run, k: int) -> str:
-    """As `figures`, of the Gaussians within the sensor: the median of their amplitudes, the rms of their errors."""
-    fit, capture = run.load_fit(), load_capture(run.dataset)
-    means, viewmat, K = fit.gaussians.means.numpy(), capture.viewmats[0], capture.Ks[0]
-    at = means @ viewmat[:3, :3].T + viewmat[:3, 3]
-    own = np.hypot(*(at[:, :2] / at[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2] - _CENTRES[k]).T) < _RADIUS
-    rows = pixel_rows(means[own], viewmat, K, (WIDTH, HEIGHT))[0]
-    m = fit.motion
-    motion = replace(m, fields=m.fields[:, own], appearance=None)
-    at_times = (displacement_at(motion, float(t)) for t in range(FRAMES))
-    found = np.stack([np.einsum("nij,nj->ni", rows, moved) for moved in at_times])
-    true = moves(k, np.arange(FRAMES) / FPS)
-    found, true = found - found.mean(0), (true - true.mean(0))[:, None]
-    power = float((true**2).sum())
-    size = float(np.median((found * true).sum((0, 2)))) / power
-    error = float(np.sqrt(((found - true) ** 2).sum((0, 2)).mean() / power))
-    return f"{size:.2f} ({error:.2f})"
-
-
 def run(options: Any) -> None:
     """Prints a table."""
     options.out.mkdir(parents=True, exist_ok=True)
-    video, data = options.out / f"{options.codec}.mp4", options.out / "set"
+    video = options.out / f"{options.codec}.mp4"
     if not video.exists():
         write_video(video, film(options.seed).pictures(), FPS, Coding(options.codec, BITS_PER_S, None))
     lines = look(video).lines
-    reconstruct(video, data)
-    trained = train(data, options.out / "run")
     scene = prepare_video(video)
-    print("| true, px | look | train | measure |\n|---:|---:|---:|---:|")
+    print("| true, px | look | measure |\n|---:|---:|---:|")
     for k, (x, y) in enumerate(_CENTRES):
         own = [n.amplitude_px / SIZES_PX[k] for n in lines if abs(n.hz - HZ[k]) < 0.5 * FPS / FRAMES]
         found = measure_one(scene, Sensor(f"{SIZES_PX[k]} px", "pixel", (x, y, _RADIUS), video.stem))
-        print(
-            f"| {SIZES_PX[k]} | {own[0] if own else np.nan:.2f} | {modes(trained, k)} | {figures(found, k)} |"
-        )
+        print(f"| {SIZES_PX[k]} | {own[0] if own else np.nan:.2f} | {figures(found, k)} |")

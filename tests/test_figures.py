@@ -12,9 +12,11 @@ from benchmarks.figures import (
     filled,
     merged,
     noise_plot,
+    over_alpha,
     rivals_tables,
     split_tables,
     tables,
+    with_mean,
 )
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.means import group_means, line_means
@@ -57,20 +59,27 @@ def test_the_other_tables_are_of_results_too():
         ]},
         "seconds": {"space": 19.0, "motion": 16.0, "total": 35.0}, "rows": {}, "ways": ["modal"], "preset": "modal",
     }  # fmt: skip
-    scores = {"alphas": {"20": {"ssim": 0.952, "lpips": 0.05, "closure": 0.9}}, "frames_per_s": 158.2}
-    rows = ("nothing moves", "modal", "linear-2d", "ceiling")
-    lines = [{"set": run["set"], "row": row, **scores} for row in rows]
+    rows = {"nothing moves": 0.852, "modal": 0.942, "linear-2d": 0.942, "ceiling": 0.952}
+    lines = [
+        {
+            "set": run["set"],
+            "row": row,
+            "alphas": {"20": {"ssim": ssim, "lpips": 0.05}},
+            "frames_per_s": 158.2,
+        }
+        for row, ssim in rows.items()
+    ]
     groups = {run["set"]: "all"}
     results = {
         "sets": [{"label": run["set"], "width": 256}],
         "runs": [run], "lines": lines, "means": group_means([run], groups), "line_means": line_means(lines, groups)
     }  # fmt: skip
     made = split_tables(results, "dev")
-    assert made["dev"]["rows"][1:3] == [["`modal`", "0.90, .9520"], ["`linear-2d`", "0.90, .9520"]]
+    assert made["dev"]["rows"][1:3] == [["`modal`", "0.90, .9420"], ["`linear-2d`", "0.90, .9420"]]
     assert made["dev_sets"]["rows"][:2] == [["mic 5 Hz", "5.8, .998"], ["mean", "5.8, .998"]]
     rivals = rivals_tables(results)
     assert rivals["rivals"]["header"][2] == "mic 256², 20"
-    assert rivals["rivals"]["rows"][1] == ["`modal`", "", ".9520/.0500", ""]
+    assert rivals["rivals"]["rows"][1] == ["`modal`", "", ".9420/.0500", ""]
     assert rivals["rivals_errors"]["rows"] == [["mic 256²", "5.8, .998"]]
 
 
@@ -81,6 +90,23 @@ def test_printed_bounds_become_a_table_and_a_plot():
     made = made["bounds"]
     assert made["rows"] == [["mic 4.3 Hz, dev", "4", "2", "3", "1"]]
     assert noise_plot(made["rows"], made["header"]).count("parts known") == 1
+
+
+def test_means_are_of_all_sets_of_a_table():
+    header = ["SSIM/LPIPS at α", *(f"{name}, {a}" for name in ("mic", "lego 256²") for a in (5, 20))]
+    rows = [
+        ["nothing moves", ".9000/.1", ".8000/.1", ".7000", ".6000"],
+        ["`modal`", ".9500/.1", ".8800/.1", ".7800", ".7800"],
+        ["`3dmm`", ".9400/.1", ".8500/.1", "", ""],
+        ["ceiling", "1.0000/.1", ".9000/.1", ".8000", ".8000"],
+    ]
+    made = over_alpha({"header": header, "rows": rows})
+    assert made["header"] == ["closure, SSIM", "α = 5", "α = 20"]
+    closures = [cell.partition(" ±")[0] for cell in made["rows"][1][1:]]
+    assert closures == ["0.65", "0.85"]  # of .5 and .8, of .8 and .9
+    assert made["rows"][2] == ["`3dmm`, 1 of 2 sets", "0.40, .9400", "0.50, .8500"]
+    rows = with_mean([["mic", "8.2, .993", ""], ["lego", "28.2, .929", "34.0, .9"], ["mean", "99, 1", ""]])
+    assert [cell.partition(" ±")[0] for cell in rows[-1]] == ["mean", "18.2", "34.0, .900"]
 
 
 def test_a_part_of_a_table_leaves_the_rest():
