@@ -119,8 +119,8 @@ def over_alpha(pictures: dict[str, Any]) -> dict[str, Any]:
         for alpha in alphas:
             at = [(x, a) for x, a in own if a == alpha]
             closures = [(own[x] - still[x]) / (best[x] - still[x]) for x in at]
-            half = half_width(closures, [x.partition(" ")[0] for x, _ in at]) or None
-            shown = number("{:.2f}", float(np.mean(closures)), half)
+            half = half_width(closures, [x.partition(" ")[0] for x, _ in at])
+            shown = number("{:.2f}", float(np.mean(closures)), half if half and half > 1e-9 else None)
             cells.append(f"{shown}, {number('{:.4f}', float(np.mean([own[x] for x in at])))}")
         count = len({x for x, _ in own})
         rows.append([name + ("" if count == most else f", {count} of {most} sets"), *cells])

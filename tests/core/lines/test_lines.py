@@ -6,6 +6,9 @@ from scipy.signal import lfilter
 
 from benchmarks.modulated_lines import scored, told_apart
 from tg4mm.core.lines import CodecChange, find_lines, fit_line_near, fit_lines
+from tg4mm.core.lines.model import LineShape
+from tg4mm.core.lines.record import Record
+from tg4mm.core.lines.search import without_between
 
 FPS = 30.0
 
@@ -344,3 +347,19 @@ def test_a_change_that_a_codec_may_have_made_is_not_a_vibrations_own(codec, chan
         assert line.change == ("decays" if changes else "untold")
         assert (line.damping is not None) == changes
         assert changes or line.amplitude[0] == pytest.approx(0.5 * (1 - np.exp(-0.4)) / 0.4, rel=0.02)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_line_of_the_p_frames_is_an_alias_of_a_stronger_one(seed):
+    """Every fourth frame is a P-frame, of 7.5 Hz: there a second line moves to where it explains the first one."""
+    rng, t, b_frames = np.random.default_rng(seed), np.arange(240) / 30, np.arange(240) % 4 > 0
+    fades = 30 * (np.exp(-0.5 * t) + np.exp(-4 * t)) * np.where(b_frames, 0.7, 1)
+    motion = fades * np.cos(2 * np.pi * 3.168 * t + seed)
+    motion += 8 * b_frames * np.exp(-3 * t) * np.cos(2 * np.pi * 9.6 * t)
+    values = np.stack([motion, 0.5 * motion], 1) + rng.normal(size=(240, 2))
+    record = Record.of(values, t, np.ones(2), None)
+    shapes = [LineShape(3.168, 0.9, 0, True), LineShape(9.669, 3.2, 0, True)]
+    part, found, differ = without_between(record, shapes, b_frames)
+    assert differ
+    assert found[0].hz == pytest.approx(3.168, abs=0.03)
+    assert all(abs(part.folded(s.hz) - part.folded(found[0].hz)) > 0.25 for s in found[1:])

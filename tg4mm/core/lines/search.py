@@ -195,14 +195,24 @@ def without_between(
         if any(sizes[j] < WEAKER * sizes[k] for j in beside):
             return None
         kept += [] if beside else [k]
-    lines = [shapes[k] for k in kept]
-    begun = [_part_of(s, forward) for s in lines]
-    found = refined(begun, part.t, part.y, part.ends)
+    begun = {k: _part_of(shapes[k], forward) for k in kept}
+    found = refined(list(begun.values()), part.t, part.y, part.ends)
+    while gone := [k for k in range(len(found)) if _is_lost(part, list(begun.values()), found, k)]:
+        begun.pop(list(begun)[gone[-1]])
+        found = refined(list(begun.values()), part.t, part.y, part.ends)
+    lines = [shapes[k] for k in begun]
     levels = part.levels(found, solved(found, part.t, part.y)[1])
     differ = _differ(record, lines, b_frames, [levels[part.bin_of(s.hz, len(levels))] for s in found])
     if not differ and len(lines) < len(shapes):
         return None
     return part, found, differ
+
+
+def _is_lost(part: Record, begun: Sequence[LineShape], found: Sequence[LineShape], k: int) -> bool:
+    """Return whether line k, refined in the other pictures, left its frequency, or is an alias of a stronger one."""
+    width = max(1 / float(np.ptp(part.t)), abs(begun[k].decay) / (2 * np.pi))
+    is_alias = any(_look_alike(part, found[k], stronger) for stronger in found[:k])
+    return is_alias or (k > 0 and abs(found[k].hz - begun[k].hz) > width)
 
 
 def _part_of(shape: LineShape, forward: np.ndarray) -> LineShape:

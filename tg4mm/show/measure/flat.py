@@ -58,7 +58,7 @@ class FlatSensor:
 
 @dataclass(frozen=True)
 class Unevenness:
-    """How differently the parts of a region move, over the region's motion; 0 without parts."""
+    """The differences between the motions of a region and of its parts, over its motion; 0 without parts."""
 
     offset: float = 0.0  # of the mean over the area
     spread: float = 0.0  # standard deviation of the parts
