@@ -111,6 +111,19 @@ def test_a_steady_vibration_that_a_codec_fades_has_no_damping(tmp_path, film):
 
 
 @pytest.mark.parametrize("seed", [3, 7])
+def test_a_region_whose_parts_move_differently_has_a_mark_in_place_of_a_test(tmp_path, seed):
+    """The test would move a region as one, but what it shows of the plate moves and the rest stands."""
+    motion = lambda t: float(np.cos(2 * np.pi * 4.4 * t + seed))  # noqa: E731
+    plate, _ = coded(tmp_path / "f.mp4", seed, 22, 1.5, 0.3, motion, 0.5)
+    scene = prepare_video(tmp_path / "f.mp4")
+    (whole,) = with_losses(scene, [measure_one(scene, parse_sensor("a=pixel:f,112,88,28"))])
+    assert plate.spread < 0.5 < whole.spread
+    assert not plate.losses[0].why
+    assert whole.losses
+    assert all("move differently" in loss.why for loss in whole.losses)
+
+
+@pytest.mark.parametrize("seed", [3, 7])
 def test_what_rings_down_in_a_coded_film_has_its_damping(tmp_path, seed):
     """As it fades, the codec takes more of it; the test of the codec tells how much that may be."""
     decay = 0.03 * 2 * np.pi * 3.18

@@ -53,7 +53,7 @@ class FlatSensor:
     labels: tuple[str, ...]
     motion: RegionMotion
     series: Series
-    spread: float  # of its parts' motion over the mean, see `Unevenness`
+    spread: float  # rms difference of its parts' motion from its own, over that
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ def _measured(
     of_model = np.where(motion.hidden[:, None], size.max(), share * size[:, None])
     deviation = np.sqrt(series.noise**2 + of_model**2)
     series = replace(series, model_share=share, deviation=deviation)
-    return FlatSensor(mask, body, labels, motion, series, uneven.spread)
+    return FlatSensor(mask, body, labels, motion, series, float(np.hypot(uneven.offset, uneven.spread)))
 
 
 def _body(scene: Prepared, frames: PosedFrames, mask: np.ndarray, motion: RegionMotion) -> RigidBody:

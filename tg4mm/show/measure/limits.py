@@ -28,7 +28,7 @@ _MARGIN = 6  # pixels around them
 _HIDDEN = 0.5  # of a motion: the part hidden by errors of the scene at rest that is reported
 _OTHER = 0.5  # of the largest changes: the part not explained by motion of the region that is reported
 _LACKING = 0.05  # of the largest motion: the missing part that is reported
-# Parts of a region that spread by more about its mean motion do not move as one, as the test of compression assumes.
+# Parts of a region that differ by more from its motion do not move as one, as the test of compression assumes.
 _AS_ONE = 0.5
 _UNTESTED = Loss(
     float("nan"),

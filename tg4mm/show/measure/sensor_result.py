@@ -99,7 +99,7 @@ class SensorResult:
     relation: Relation | None = None  # to the reference sensor; None for that sensor itself
     mask: np.ndarray | None = None  # [H, W] weights of the region's pixels, for a flat capture
     motion: RegionMotion | None = None  # measured motion of the region, for a flat capture
-    spread: float = 0.0  # of the motion of its parts over the mean, for a flat capture
+    spread: float = 0.0  # rms difference of its parts' motion from its own, over that, for a flat capture
 
     @property
     def name(self) -> str:
