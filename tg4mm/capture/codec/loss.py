@@ -37,6 +37,7 @@ SCATTER, BESIDE = 1.15, 0.06
 _INEXACT = 0.4  # of what the test of a decaying tone corrects, which it is wrong by
 _TOO_LARGE = "it is too large for a test in seconds (tg4mm measure tests it)"
 _UNASKED = "the file names no encoder that can be tested"
+_UNEVEN = "its parts move differently, which cannot be tested; choose a smaller region"
 LOST = 0.5  # a gain below it is marked
 _UNSURE = 0.25  # of a gain: with a larger deviation it is marked, since a quotient's error is then not normal
 # equal pixels and the noise's correlation from frame to frame, at most,
@@ -82,6 +83,7 @@ def codec_losses(
     seed: int = 0,
     quick: bool = False,
     without_between: bool = False,
+    uneven: Sequence[bool] | None = None,
 ) -> list[list[Loss]]:
     """Measure the share of each region's tones that survives compression.
 
@@ -97,6 +99,7 @@ def codec_losses(
         seed: of the noise that is added to the tones.
         quick: take seconds only: regions whose pictures show no loss are not tested, others with a few frames; larger
             pictures are not tested at all.
+        uneven: of each region, whether its parts move differently: it is not tested, and its pictures decide.
         without_between: measure the test's amplitudes without B-frames, as the given ones were.
 
     Raises Tg4mmError for a region of another size than the picture.
@@ -134,11 +137,19 @@ def codec_losses(
         if not made.encoder or most * height * width > _QUICK_MOST:
             return found
         tones = [of_region if loss.why else [] for loss, of_region in zip(own_words, tones, strict=True)]
+    elif uneven is not None and any(uneven):
+        found = [
+            [_by_pictures(made, mask, _UNEVEN)] * len(own) if differs else []
+            for mask, own, differs in zip(masks, tones, uneven, strict=True)
+        ]
+        tones = [[] if differs else own for own, differs in zip(tones, uneven, strict=True)]
+    else:
+        found = [[] for _ in tones]
     is_new = ~np.isin(np.arange(len(made.luma)), list(repeats))
     is_new[0] = True
     times = (np.cumsum(is_new) - 1) / float(fps or made.rate)
     tested = _tested(made, masks, tones, times, seed, without_between, fewest)
-    return [of_region or known for of_region, known in zip(tested, found, strict=True)] if quick else tested
+    return [of_region or known for of_region, known in zip(tested, found, strict=True)]
 
 
 def _tested(

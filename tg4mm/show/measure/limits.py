@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, shift
 
-from tg4mm.capture.codec import Loss, MeasuredTone, codec_losses
+from tg4mm.capture.codec import MeasuredTone, codec_losses
 from tg4mm.capture.pictures import over_white
 from tg4mm.core.lines import FEWEST
 from tg4mm.fit.motion.mode_selection import frequency_notes
@@ -30,12 +30,6 @@ _OTHER = 0.5  # of the largest changes: the part not explained by motion of the 
 _LACKING = 0.05  # of the largest motion: the missing part that is reported
 # Parts of a region that differ by more from its motion do not move as one, as the test of compression assumes.
 _AS_ONE = 0.5
-_UNTESTED = Loss(
-    float("nan"),
-    float("nan"),
-    "may be smaller than it was: parts of this region move differently, so that what its compression takes cannot be "
-    "tested; choose a smaller region",
-)
 _NEAR_PX = 4.0  # from the Gaussians of a region: nearer pixels belong to it
 
 
@@ -229,12 +223,11 @@ def with_losses(scene: Prepared, results: Sequence[SensorResult]) -> list[Sensor
     if video is None or len(scene.observations.frames) != 1:
         return list(results)
     regions = [_region(scene, result) for result in results]
-    tones = [_tones(result) if result.spread <= _AS_ONE else [] for result in results]
-    found = codec_losses(video.path, regions, tones, scene.observations.fps, video.from_s, video.repeats)
-    return [
-        result.with_(losses=tuple(own or [_UNTESTED] * len(result.spectrum.peaks)))
-        for result, own in zip(results, found, strict=True)
-    ]
+    tones, uneven = [_tones(result) for result in results], [result.spread > _AS_ONE for result in results]
+    found = codec_losses(
+        video.path, regions, tones, scene.observations.fps, video.from_s, video.repeats, uneven=uneven
+    )
+    return [result.with_(losses=tuple(own)) for result, own in zip(results, found, strict=True)]
 
 
 def _tones(result: SensorResult) -> list[MeasuredTone]:
