@@ -197,7 +197,7 @@ def without_between(
         kept += [] if beside else [k]
     begun = {k: _part_of(shapes[k], forward) for k in kept}
     found = refined(list(begun.values()), part.t, part.y, part.ends)
-    while gone := [k for k in range(len(found)) if _is_lost(part, list(begun.values()), found, k)]:
+    while gone := [k for k in range(len(found)) if _has_strayed(part, list(begun.values()), found, k)]:
         begun.pop(list(begun)[gone[-1]])
         found = refined(list(begun.values()), part.t, part.y, part.ends)
     lines = [shapes[k] for k in begun]
@@ -208,7 +208,7 @@ def without_between(
     return part, found, differ
 
 
-def _is_lost(part: Record, begun: Sequence[LineShape], found: Sequence[LineShape], k: int) -> bool:
+def _has_strayed(part: Record, begun: Sequence[LineShape], found: Sequence[LineShape], k: int) -> bool:
     """Return whether line k, refined in the other pictures, left its frequency, or is an alias of a stronger one."""
     width = max(1 / float(np.ptp(part.t)), abs(begun[k].decay) / (2 * np.pi))
     is_alias = any(_look_alike(part, found[k], stronger) for stronger in found[:k])
