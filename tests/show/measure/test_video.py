@@ -123,6 +123,15 @@ def test_a_region_whose_parts_move_differently_has_a_mark_in_place_of_a_test(tmp
     assert all("move differently" in loss.why for loss in whole.losses)
 
 
+def test_a_lossless_film_has_no_mark_where_parts_move_differently(tmp_path):
+    coded(tmp_path / "f.mp4", 3, 0, 1.5, 0.3, lambda t: float(np.cos(2 * np.pi * 4.4 * t)), 0.5)
+    scene = prepare_video(tmp_path / "f.mp4")
+    (whole,) = with_losses(scene, [measure_one(scene, parse_sensor("a=pixel:f,112,88,28"))])
+    assert whole.spread > 0.5
+    assert whole.losses
+    assert all(loss.gain == 1 and not loss.why for loss in whole.losses)
+
+
 @pytest.mark.parametrize("seed", [3, 7])
 def test_what_rings_down_in_a_coded_film_has_its_damping(tmp_path, seed):
     """As it fades, the codec takes more of it; the test of the codec tells how much that may be."""
