@@ -19,6 +19,7 @@ from tg4mm.capture.codec import (
     is_lossless,
     trial,
 )
+from tg4mm.capture.codec import loss as loss_module
 from tg4mm.capture.codec.loss import AmplitudeSearch
 from tg4mm.capture.codec.trial import gain_of, probe, shifts_of
 from tg4mm.capture.planes import Orientation
@@ -134,6 +135,32 @@ def test_little_is_left_of_a_small_motion_of_a_photograph(tmp_path, seed):
     true = gain_of(u, [tone], 0, np.arange(N) / FPS)
     (loss,) = codec_losses(path, [REGION], [[replace(tone, phasor=true.gain * tone.phasor)]], FPS)[0]
     assert abs(loss.gain - true.gain) < 3 * np.hypot(loss.deviation, true.error)
+
+
+@pytest.mark.parametrize(("made_px", "is_made"), [(0.0, False), (0.002, False), (0.02, True), (0.03, True)])
+def test_a_line_that_the_codec_makes_of_a_stronger_one_is_told_from_one_that_is_there(
+    tmp_path, monkeypatch, made_px, is_made
+):
+    """A codec that leaves nine tenths of each tone, and adds `made_px` pixels at the third, beside a strong one."""
+    path = film(tmp_path / "a.mp4", 5.0, "libx264", crf="22")
+    tones = [MeasuredTone(hz, np.array([px + 0j, 0])) for hz, px in ((3.1, 0.4), (7.7, 0.1), (9.3, 0.03))]
+
+    def through(made, masks, encoded, *_):
+        return [[left_of(tone) for tone in of_region] for of_region in encoded]
+
+    def left_of(tone):
+        extra = made_px * (tone.frequency_hz == 9.3) / float(np.linalg.norm(tone.phasor))
+        return trial.TestedTone(0.9 + extra, 0.03)
+
+    monkeypatch.setattr(loss_module, "through", through)
+    losses = codec_losses(path, [REGION], [tones], FPS)[0]
+    assert [loss.is_made for loss in losses] == [False, False, is_made]
+    assert [loss.gain for loss in losses[:2]] == pytest.approx([0.9, 0.9], abs=0.01)
+    if is_made:
+        assert losses[2].gain == pytest.approx(0.9 + made_px / 0.03)
+        assert before_compression(0.03, 0.001, losses[2]) == (0.03, 0.001)
+    alone = codec_losses(path, [REGION], [tones[2:]], FPS)[0]
+    assert not alone[0].is_made  # of nothing stronger
 
 
 def test_a_part_of_the_stored_pictures_has_the_colours_of_its_place(tmp_path):

@@ -54,6 +54,15 @@ def test_no_line_is_made_of_one_that_the_codec_makes():
     assert not other.mark
 
 
+def test_odd_multiples_that_a_codec_makes_are_marked_up_to_the_size_that_a_square_wave_has():
+    line = replace(found().lines[0], hz=6.7, amplitude_px=0.2)
+    cases = [(5, 0.03, True), (5, 0.05, False), (7, 0.02, True), (7, 0.04, False), (6, 0.01, False)]
+    for order, amplitude, is_marked in cases:
+        own = replace(line, hz=abs(6.7 * order - 60 * round(6.7 * order / 60)), amplitude_px=amplitude)
+        assert bool(marked([line, own], 60.0, 10.0)[1].mark) == is_marked
+        assert not marked([line, own], 60.0, 10.0, patterns=())[1].mark
+
+
 def test_what_light_makes_seem_to_move_is_marked_and_what_moves_by_more_at_its_frequency_is_not():
     line = replace(found().lines[0], hz=7.4)
     clear, clipped = np.zeros_like(line.region), np.ones_like(line.region)

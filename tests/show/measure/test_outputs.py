@@ -293,7 +293,7 @@ def test_what_compression_may_have_taken_is_in_the_levels(out, tmp_path, capsys)
         level = json.loads((tmp_path / f"{name}-a" / "analysis.json").read_text())["levels"][0]
         sure[name] = level["rms"]["deviation"] / level["rms"]["value"]
     assert sure["lossy"] == pytest.approx(np.hypot(sure["plain"], np.hypot(0.25, 0.05 / 0.64)), rel=0.02)
-    assert "Hz: too much; its levels are lower bounds" in capsys.readouterr().out
+    assert "Hz: too much; its levels are not those of the motion" in capsys.readouterr().out
 
 
 def test_a_picture_names_the_parts(run, out):

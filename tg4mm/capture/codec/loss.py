@@ -53,6 +53,7 @@ _FEWEST_OF_KIND = 8  # frames, more than which show what a kind lacks
 _FOLDS = 3  # e-foldings of a decaying tone that its test contains
 _ALIKE = 0.9  # of the measured amplitude, what the last test may leave
 _ROUNDS = 5  # encodings, at most
+_MADE = 3.0  # deviations by which more is left of a tone than was encoded, from which the codec makes a part of it
 _APART = 0.2  # of the logarithms of the amplitudes of two trials, from which the exponent follows
 
 
@@ -62,10 +63,12 @@ class Loss:
 
     gain: float  # 1 where nothing is lost; NaN where it is not known
     deviation: float  # standard deviation of the gain
-    why: str = ""  # the mark: why the true amplitude is larger, by an amount that is not known
+    # the mark: why the true amplitude is larger (with `is_made`: smaller), by an amount that is not known
+    why: str = ""
     # of a decaying tone: what compression adds to its decay, per second, with its deviation; None: steady, or unknown
     faster: float | None = None
     faster_deviation: float = 0.0
+    is_made: bool = False  # by the codec, of stronger tones, at least in part: the true amplitude is smaller
 
     @property
     def is_lost(self) -> bool:
@@ -194,7 +197,11 @@ def _searched(
         [replace(t, phasor=made.orientation.stored_vector(t.phasor)) for t in of_region]
         for of_region in tones
     ]
-    searches = [[AmplitudeSearch(tone, tone) for tone in of_region] for of_region in of_group]
+    largest = [max(float(np.linalg.norm(tone.phasor)) for tone in of_region) for of_region in of_group]
+    searches = [
+        [AmplitudeSearch(tone, tone, float(np.linalg.norm(tone.phasor)) < most) for tone in of_region]
+        for of_region, most in zip(of_group, largest, strict=True)
+    ]
     every = [search for of_region in searches for search in of_region]
     length = min(frames, len(times))
     for round_ in range(_ROUNDS):
@@ -202,12 +209,13 @@ def _searched(
         results = through(made, masks, encoded, times[:length], seed + round_, without_between)
         for search, result in zip(every, (tone for of_region in results for tone in of_region), strict=True):
             search.add(result)
-        needed = length * (SCATTER * max(search.trials[-1].found.error for search in every) / BESIDE) ** 2
-        if all(search.is_done for search in every) and (round_ or needed <= length):
+        going = [search for search in every if not search.is_made] or every
+        needed = length * (SCATTER * max(search.trials[-1].found.error for search in going) / BESIDE) ** 2
+        if all(search.is_done for search in going) and (round_ or needed <= length):
             break
         if round_ + 1 < _ROUNDS:
             length = int(np.clip(needed, length, len(times)))
-            for search in every:
+            for search in going:
                 search.encoded = search.following()
     return [[_loss(search) for search in of_region] for of_region in searches]
 
@@ -231,6 +239,7 @@ class AmplitudeSearch:
 
     measured: MeasuredTone
     encoded: MeasuredTone  # in the next trial, or in the last one once the search has ended
+    has_stronger: bool = False  # beside it in its region
     trials: list[Trial] = field(default_factory=list)
 
     def add(self, found: TestedTone) -> None:
@@ -242,6 +251,14 @@ class AmplitudeSearch:
     def nearest(self) -> Trial:
         """Return the trial whose remaining amplitude is nearest to the measured one."""
         return min(self.trials, key=lambda trial: abs(trial.remaining))
+
+    @property
+    def is_made(self) -> bool:
+        """Return whether the first encoding made much more of a steady tone: the codec adds to it, of stronger ones."""
+        first = self.trials[0].found
+        is_steady = self.measured.decay_per_s <= 0
+        more = first.gain - 1 > _MADE * float(np.hypot(SCATTER * first.error, BESIDE))
+        return self.has_stronger and is_steady and more
 
     @property
     def exponent(self) -> float:
@@ -285,6 +302,12 @@ class AmplitudeSearch:
 
 
 def _loss(search: AmplitudeSearch) -> Loss:
+    if search.is_made:
+        first = search.trials[0].found
+        deviation = float(np.hypot(SCATTER * first.error, BESIDE))
+        left = f"of a test tone {first.gain:.2f} ± {deviation:.2f} is left"
+        why = f"the codec makes such a line of stronger ones: {left}"
+        return Loss(first.gain, deviation, why, is_made=True)
     gain, nearest, last, decay = (
         search.gain,
         search.nearest,
@@ -371,7 +394,7 @@ def coded_change(noise: np.ndarray, kinds: np.ndarray) -> CodecChange:
 def before_compression(amplitude: float, deviation: float, loss: Loss | None) -> tuple[float, float]:
     """Divide an amplitude and its deviation by the gain found by the test; same units as given.
 
-    A marked amplitude is left as measured: the true one is larger by an unknown amount.
+    A marked amplitude is left as measured: the true one is larger, or smaller, by an unknown amount.
     """
     if loss is None or loss.why:
         return amplitude, deviation

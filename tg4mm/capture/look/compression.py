@@ -42,14 +42,15 @@ def _tone(line: LookLine) -> MeasuredTone:
 def _with_loss(line: LookLine, loss: Loss, found: Look) -> LookLine:
     line = _with_decay(line, loss, found)
     amplitude, deviation = before_compression(line.amplitude_px, line.amplitude_deviation_px, loss)
-    is_known = bool(np.isfinite(loss.gain))
+    is_known = bool(np.isfinite(loss.gain)) and not loss.is_made
     return replace(
         line,
         amplitude_px=amplitude,
         amplitude_deviation_px=deviation,
         kept=loss.gain if is_known else None,
         kept_deviation=loss.deviation if is_known else None,
-        lost="; ".join(filter(None, [loss.why, line.lost])),
+        mark=line.mark or (loss.why if loss.is_made else ""),
+        lost="; ".join(filter(None, ["" if loss.is_made else loss.why, line.lost])),
     )
 
 

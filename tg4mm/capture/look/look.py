@@ -26,7 +26,7 @@ from tg4mm.capture.look.zoom import left_of
 from tg4mm.capture.sfm.clip import WHOLE, TimeWindow
 from tg4mm.capture.stacks import is_stack
 from tg4mm.core.lines import Line as CoreLine
-from tg4mm.core.lines import find_lines, fit_lines
+from tg4mm.core.lines import alias, find_lines, fit_lines
 from tg4mm.core.regions import Region, Regions
 
 _MOVES = 13.3  # χ² of 4 degrees of freedom, 1 %: a cell that a line moves is no background
@@ -136,7 +136,7 @@ def _edges(search: Search) -> np.ndarray:
         ndimage.binary_dilation(scene.grid.picture(moving), BLOCK, n).ravel() for n in (1, _ITS_RIM)
     )
     known_hz = [n * line.vibration.hz for line in search.lines for n in (1, 2)]
-    folded = [abs((hz + 0.5 / scene.dt) % (1 / scene.dt) - 0.5 / scene.dt) for hz in known_hz]
+    folded = [alias(hz, 1 / scene.dt) for hz in known_hz]
     for cells, tones in _by_themselves(scene):
         near = (abs(tone[0] - hz) < 1 / scene.duration for tone in tones for hz in folded)
         left, upper, right, lower = scene.grid.box(cells)

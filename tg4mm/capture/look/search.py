@@ -28,7 +28,7 @@ from tg4mm.capture.look.pools import AggregationWindow, pools_of
 from tg4mm.capture.look.scene import PATTERNS, CellScene
 from tg4mm.capture.look.spectra import spectrum
 from tg4mm.core.lines import Line as Vibration
-from tg4mm.core.lines import fit_line_near
+from tg4mm.core.lines import alias, fit_line_near
 
 MOST = 24  # lines
 _WANDER_BINS = 6  # neighbourhood that a line must explain
@@ -299,8 +299,7 @@ def _least_support(peak: PoolPeak) -> float:
 
 def images(hz: float, rate: float, patterns: tuple[int, ...] = PATTERNS) -> list[float]:
     """Return the frequencies at which frames of periodic quality show a line at hz, for each period of `patterns`."""
-    folded = (j * rate / n + sign * hz for n in patterns for j in range(1, n) for sign in (1, -1))
-    return [abs((f + rate / 2) % rate - rate / 2) for f in folded]
+    return [alias(j * rate / n + sign * hz, rate) for n in patterns for j in range(1, n) for sign in (1, -1)]
 
 
 def _statistic(

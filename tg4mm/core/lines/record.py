@@ -28,6 +28,7 @@ _CYCLES, _FEWEST = 2, 12  # of a time constant, at least; samples in it
 _RANGE = 0.25, 4.0  # times the decay
 LEAST_CYCLES = 1.5  # of the record: slower is drift
 FEWEST = 12  # samples from which there can be a line
+MULTIPLES = 2, 3, 4  # of a frequency, which pictures that are not linear in a motion show beside it
 LONG = 2000  # samples from which on neither slow changes nor beginnings of lines are looked for
 # of the amplitude over the record, from which on a line decays, grows, or cannot be called steady
 LEAST_CHANGE = 0.1
@@ -41,6 +42,11 @@ def tone(times_s: np.ndarray, hz: float) -> np.ndarray:
     """Return [T, 2]: cosine and sine."""
     angle = 2 * np.pi * hz * times_s
     return np.stack([np.cos(angle), np.sin(angle)], 1)
+
+
+def alias(hz: float, rate: float) -> float:
+    """Return the frequency below rate / 2 at which samples taken at `rate` Hz show `hz`."""
+    return abs(hz - round(hz / rate) * rate)
 
 
 def envelope(
@@ -226,8 +232,7 @@ class Record:
 
     def folded(self, hz: float) -> float:
         """Return the alias of a frequency below half the sampling rate."""
-        step = float(np.median(np.diff(self.t)))
-        return float(abs(hz - round(hz * step) / step))
+        return alias(hz, 1 / float(np.median(np.diff(self.t))))
 
     def bin_of(self, hz: float, n_bins: int) -> int:
         """The row of a level [n_bins, D] that a frequency belongs to."""

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +76,14 @@ class Channel:
     @cached_property
     def lines(self) -> tuple[Line, ...]:
         """The channel's lines, at most eight, strongest first."""
-        return find_lines(self.values, self.times_s, np.nan_to_num(self.noise)).lines
+        arrays = (np.ascontiguousarray(a, np.float64).tobytes() for a in (self.values, self.times_s))
+        return _lines_of(*arrays, float(np.nan_to_num(self.noise)))
+
+
+@lru_cache(maxsize=64)
+def _lines_of(values: bytes, times_s: bytes, noise: float) -> tuple[Line, ...]:
+    """Return the lines of a record; an instrument's are found once, whatever it is compared with."""
+    return find_lines(np.frombuffer(values), np.frombuffer(times_s), noise).lines
 
 
 def unit_of(quantity: str, base: str) -> str:
@@ -167,13 +174,15 @@ def _taken(peaks: Any, axis: int) -> float:
 
 
 def doubts_of(path: Path) -> list[str]:
-    """Return a line for each peak in a measurement's folder that compression reduced by an unknown amount."""
+    """Return a line for each peak in a measurement's folder that compression changed by an unknown amount."""
     if path.is_file():
         return []
     with readable(path):
         peaks = [(s["name"], p) for s in read_json(path / "measure.json")["sensors"] for p in s["peaks"]]
         marked = [(name, p["frequency_hz"], p["codec_mark"]) for name, p in peaks if p.get("codec_mark")]
-    return [f"{name} at {hz:.4g} Hz: {why}; its levels are lower bounds" for name, hz, why in marked]
+    return [
+        f"{name} at {hz:.4g} Hz: {why}; its levels are not those of the motion" for name, hz, why in marked
+    ]
 
 
 def _of_csv(path: Path) -> list[Channel]:

@@ -342,7 +342,7 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
         size, error = before_compression(orbit.amplitude, orbit.deviation, loss)
         damping, pixels = result.damping[k], result.pixels(orbit.direction)
         percent = () if damping is None else (100 * damping.ratio, 100 * damping.deviation)
-        bound = "> " if loss is not None and loss.why else ""
+        bound = "" if loss is None or not loss.why else "< " if loss.is_made else "> "
         out.append(
             [
                 result.name if not out else "",

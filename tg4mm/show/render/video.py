@@ -103,7 +103,7 @@ def _encode(
         imageio_ffmpeg.get_ffmpeg_exe(),
         *("-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"),
         *("-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"),
-        *("-c:v", "libx264", "-pix_fmt", "yuv420p", "-vf", filters, "-crf", str(quality), "-preset", "slow"),
+        *("-c:v", "libx264", "-pix_fmt", "yuv420p", "-vf", filters, "-crf", str(quality), "-preset", "fast"),
         *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-threads", "2"),
         *("-movflags", "+faststart", "-f", "mp4"),  # the temporary name does not end in .mp4
         f"file:{path}",
