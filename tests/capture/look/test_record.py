@@ -2,10 +2,14 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pytest
 
 from tests.helpers.look import found
+from tg4mm.capture.codec import Loss
+from tg4mm.capture.look import compression
 from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.record import from_record, to_record
 from tg4mm.capture.look.scene import Light
@@ -59,8 +63,26 @@ def test_odd_multiples_that_a_codec_makes_are_marked_up_to_the_size_that_a_squar
     cases = [(5, 0.03, True), (5, 0.05, False), (7, 0.02, True), (7, 0.04, False), (6, 0.01, False)]
     for order, amplitude, is_marked in cases:
         own = replace(line, hz=abs(6.7 * order - 60 * round(6.7 * order / 60)), amplitude_px=amplitude)
-        assert bool(marked([line, own], 60.0, 10.0)[1].mark) == is_marked
+        assert (
+            f"{order} × 6.700 Hz, which the codec" in marked([line, own], 60.0, 10.0)[1].mark
+        ) == is_marked
         assert not marked([line, own], 60.0, 10.0, patterns=())[1].mark
+
+
+@pytest.mark.parametrize(("gain", "is_marked"), [(1.3, False), (1.9, True)])
+def test_a_line_that_compression_makes_is_marked_where_half_of_it_is_made(monkeypatch, gain, is_marked):
+    first = found()
+    loss = Loss(gain, 0.07, "compression adds to it", is_made=True)
+    monkeypatch.setattr(
+        compression,
+        "codec_losses",
+        lambda video, masks, tones, *_, **__: [[loss] * len(own) for own in tones],
+    )
+    before = first.vibrations[0]
+    after = compression.with_losses(first, Path("film.mp4"), 30.0)[first.lines.index(before)]
+    assert bool(after.mark) == is_marked
+    assert (after.kept, after.lost, after.amplitude_px) == (None, before.lost, before.amplitude_px)
+    assert after.amplitude_deviation_px >= (gain - 1) * before.amplitude_px
 
 
 def test_what_light_makes_seem_to_move_is_marked_and_what_moves_by_more_at_its_frequency_is_not():

@@ -283,6 +283,10 @@ def test_what_compression_may_have_taken_is_in_the_levels(out, tmp_path, capsys)
     for name, told in (
         ("plain", {}),
         ("lossy", {"codec_gain": 0.8, "codec_gain_deviation": 0.05, "codec_mark": "too much"}),
+        (
+            "made",
+            {"codec_gain": 2.0, "codec_gain_deviation": 0.08, "codec_mark": "added", "codec_is_made": True},
+        ),
     ):
         for peak in content["sensors"][0]["peaks"]:
             peak.update(told)
@@ -293,7 +297,10 @@ def test_what_compression_may_have_taken_is_in_the_levels(out, tmp_path, capsys)
         level = json.loads((tmp_path / f"{name}-a" / "analysis.json").read_text())["levels"][0]
         sure[name] = level["rms"]["deviation"] / level["rms"]["value"]
     assert sure["lossy"] == pytest.approx(np.hypot(sure["plain"], np.hypot(0.25, 0.05 / 0.64)), rel=0.02)
-    assert "Hz: too much; its levels are not those of the motion" in capsys.readouterr().out
+    assert sure["made"] == pytest.approx(np.hypot(sure["plain"], np.hypot(0.5, 0.02)), rel=0.02)
+    said = capsys.readouterr().out
+    assert "Hz: too much; its levels are lower bounds" in said
+    assert "Hz: added; its levels are upper bounds" in said
 
 
 def test_a_picture_names_the_parts(run, out):

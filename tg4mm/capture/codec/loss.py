@@ -4,7 +4,8 @@ A codec skips changes that are too small, so it is a low-pass over time: of 0.02
 fifth may remain. The remainder depends on texture, noise, rate, amplitude and encoder. So the mean picture is moved in
 each region by a tone of the measured frequency, direction and amplitude, with noise as strong as in the key frames,
 encoded as the file says, and measured again; then tones of other amplitudes, until the measured one is left. From the
-second on they last as long as the standard error requires. A region is encoded alone where that is the same.
+second on they last as long as the standard error requires. A region is encoded alone where that is the same. A weaker
+tone that grows by the encoding is one that the codec makes of a stronger one, at least in part.
 
 Nothing is fitted. If the file names no available encoder, the pictures decide: a region whose pixels hardly ever repeat
 and whose noise is new in each frame has lost nothing; any other is marked.
@@ -72,7 +73,7 @@ class Loss:
 
     @property
     def is_lost(self) -> bool:
-        """Return whether the test showed that too little survives for a correction; False where it is not known."""
+        """Return whether the test showed that the amplitude cannot be corrected; False where it is not known."""
         return bool(np.isfinite(self.gain)) and (self.gain < LOST or bool(self.why))
 
 
@@ -209,13 +210,14 @@ def _searched(
         results = through(made, masks, encoded, times[:length], seed + round_, without_between)
         for search, result in zip(every, (tone for of_region in results for tone in of_region), strict=True):
             search.add(result)
-        going = [search for search in every if not search.is_made] or every
-        needed = length * (SCATTER * max(search.trials[-1].found.error for search in going) / BESIDE) ** 2
-        if all(search.is_done for search in going) and (round_ or needed <= length):
+        needed = length * (SCATTER * max(search.trials[-1].found.error for search in every) / BESIDE) ** 2
+        if all(search.is_done or search.is_made for search in every) and (round_ or needed <= length):
             break
         if round_ + 1 < _ROUNDS:
             length = int(np.clip(needed, length, len(times)))
-            for search in going:
+            for search in (
+                search for search in every if not search.is_made
+            ):  # those are encoded again as they are
                 search.encoded = search.following()
     return [[_loss(search) for search in of_region] for of_region in searches]
 
@@ -254,11 +256,10 @@ class AmplitudeSearch:
 
     @property
     def is_made(self) -> bool:
-        """Return whether the first encoding made much more of a steady tone: the codec adds to it, of stronger ones."""
-        first = self.trials[0].found
-        is_steady = self.measured.decay_per_s <= 0
-        more = first.gain - 1 > _MADE * float(np.hypot(SCATTER * first.error, BESIDE))
-        return self.has_stronger and is_steady and more
+        """Return whether encoding makes more of the measured, steady tone: the codec adds to it, of stronger ones."""
+        last, is_steady = self.trials[-1], self.measured.decay_per_s <= 0
+        more = last.found.gain - 1 > _MADE * _deviation(last.found)
+        return self.has_stronger and is_steady and not last.encoded and more
 
     @property
     def exponent(self) -> float:
@@ -301,13 +302,18 @@ class AmplitudeSearch:
         return replace(self.measured, phasor=self.measured.phasor * np.exp(size), decay_per_s=decay)
 
 
+def _deviation(found: TestedTone) -> float:
+    """Return the deviation of a gain near 1."""
+    return float(np.hypot(SCATTER * found.error, BESIDE))
+
+
 def _loss(search: AmplitudeSearch) -> Loss:
     if search.is_made:
-        first = search.trials[0].found
-        deviation = float(np.hypot(SCATTER * first.error, BESIDE))
-        left = f"of a test tone {first.gain:.2f} ± {deviation:.2f} is left"
-        why = f"the codec makes such a line of stronger ones: {left}"
-        return Loss(first.gain, deviation, why, is_made=True)
+        last = search.trials[-1].found
+        becomes = f"a test tone of this size becomes {last.gain:.2f} ± {_deviation(last):.2f} times as large"
+        return Loss(
+            last.gain, _deviation(last), f"compression adds to it, of stronger ones: {becomes}", is_made=True
+        )
     gain, nearest, last, decay = (
         search.gain,
         search.nearest,
@@ -394,8 +400,11 @@ def coded_change(noise: np.ndarray, kinds: np.ndarray) -> CodecChange:
 def before_compression(amplitude: float, deviation: float, loss: Loss | None) -> tuple[float, float]:
     """Divide an amplitude and its deviation by the gain found by the test; same units as given.
 
-    A marked amplitude is left as measured: the true one is larger, or smaller, by an unknown amount.
+    A marked amplitude is left as measured: the true one is larger by an unknown amount. Of one that the codec made in
+    part, that part is added to the deviation.
     """
+    if loss is not None and loss.is_made:
+        return amplitude, float(np.hypot(deviation, amplitude * min(loss.gain - 1, 1.0)))
     if loss is None or loss.why:
         return amplitude, deviation
     # compression adds nothing, but a decay that it makes too fast begins too large

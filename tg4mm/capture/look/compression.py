@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.codec import Loss, MeasuredTone, before_compression, codec_losses
+from tg4mm.capture.codec import LOST, Loss, MeasuredTone, before_compression, codec_losses
 from tg4mm.capture.look.model import Look, LookLine
 
 
 def with_losses(
     found: Look, video: Path, fps: float, start_s: float = 0.0, repeats: Sequence[int] = ()
 ) -> tuple[LookLine, ...]:
-    """Return the lines, those without a mark corrected for compression (`codec_losses`)."""
+    """Return the lines, those without a mark corrected for compression (`codec_losses`), or marked if it made them."""
     lines = found.vibrations
     if not lines:
         return found.lines
@@ -49,7 +49,7 @@ def _with_loss(line: LookLine, loss: Loss, found: Look) -> LookLine:
         amplitude_deviation_px=deviation,
         kept=loss.gain if is_known else None,
         kept_deviation=loss.deviation if is_known else None,
-        mark=line.mark or (loss.why if loss.is_made else ""),
+        mark=line.mark or (loss.why if loss.is_made and loss.gain - 1 > LOST else ""),
         lost="; ".join(filter(None, ["" if loss.is_made else loss.why, line.lost])),
     )
 

@@ -70,7 +70,8 @@ def look(
         replace(found, lines=(*found.lines, *of_regions)), path, found.rate, window.start_s, repeats
     )
     count = len(found.lines)
-    return replace(found, lines=corrected[:count], regions=with_lines(found.regions, corrected[count:]))
+    lines = sorted(corrected[:count], key=lambda line: bool(line.mark))
+    return replace(found, lines=tuple(lines), regions=with_lines(found.regions, corrected[count:]))
 
 
 def _is_small(region: Region) -> bool:

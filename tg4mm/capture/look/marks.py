@@ -11,13 +11,13 @@ from tg4mm.capture.look.baseline import BLOCK
 from tg4mm.capture.look.model import LookLine
 from tg4mm.capture.look.scene import PATTERNS, Light
 from tg4mm.capture.look.search import images
-from tg4mm.core.lines import MULTIPLES, alias
+from tg4mm.core.lines import alias
 
 _WEAK = 30.0  # times weaker beside a line: what a codec makes of it
 _LARGER = 2.0  # times the amplitude of a line that others are made of
 # More multiples, of a codec that skips small changes: it is an odd function of the motion, whose n-th multiple is at
 # most 1 / n of it, as in a square wave.
-_OF_CODEC = (5, 7)
+_MULTIPLES, _OF_CODEC = (2, 3, 4), (5, 7)
 _INEXACT = 0.015  # of a line's amplitude: the error of its shift (kernel and series), of which other lines may be made
 _EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
 _LIGHT_PX = 0.3  # that light seems to move a place by, a unit of its change: what gain and offset leave of it
@@ -93,10 +93,12 @@ def _mark(
     others = [one for one in lines if not _is_inexact(one) and not _beside_taken(one, taken_off, duration_s)]
     for other in others:
         if other.amplitude_px >= _LARGER * line.amplitude_px:
-            for n in (*MULTIPLES, *(_OF_CODEC if patterns else ())):
-                is_possible = n in MULTIPLES or other.amplitude_px >= n * line.amplitude_px
-                if is_possible and near(alias(n * other.hz, rate), other, n):
+            for n in _MULTIPLES:
+                if near(alias(n * other.hz, rate), other, n):
                     return f"{n} × {other.hz:.3f} Hz"
+            for n in _OF_CODEC if patterns and _is_there(line, other) else ():
+                if other.amplitude_px >= n * line.amplitude_px and near(alias(n * other.hz, rate), other, n):
+                    return f"{n} × {other.hz:.3f} Hz, which the codec may make"
             if _is_there(line, other) and any(
                 near(image, other) for image in images(other.hz, rate, patterns)
             ):

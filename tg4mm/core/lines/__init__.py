@@ -15,11 +15,10 @@ This is the one estimate of a frequency in tg4mm: training, sensors, renders and
 """
 
 from tg4mm.core.lines.find import find_lines, fit_line_near, fit_lines, projected
-from tg4mm.core.lines.record import FEWEST, MULTIPLES, CodecChange, Line, Lines, alias, envelope, tone
+from tg4mm.core.lines.record import FEWEST, CodecChange, Line, Lines, alias, envelope, tone
 
 __all__ = [
     "FEWEST",
-    "MULTIPLES",
     "CodecChange",
     "Line",
     "Lines",

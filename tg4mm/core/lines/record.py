@@ -28,7 +28,6 @@ _CYCLES, _FEWEST = 2, 12  # of a time constant, at least; samples in it
 _RANGE = 0.25, 4.0  # times the decay
 LEAST_CYCLES = 1.5  # of the record: slower is drift
 FEWEST = 12  # samples from which there can be a line
-MULTIPLES = 2, 3, 4  # of a frequency, which pictures that are not linear in a motion show beside it
 LONG = 2000  # samples from which on neither slow changes nor beginnings of lines are looked for
 # of the amplitude over the record, from which on a line decays, grows, or cannot be called steady
 LEAST_CHANGE = 0.1

@@ -80,7 +80,7 @@ class Channel:
         return _lines_of(*arrays, float(np.nan_to_num(self.noise)))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def _lines_of(values: bytes, times_s: bytes, noise: float) -> tuple[Line, ...]:
     """Return the lines of a record; an instrument's are found once, whatever it is compared with."""
     return find_lines(np.frombuffer(values), np.frombuffer(times_s), noise).lines
@@ -161,15 +161,15 @@ def _of_series(content: Any, sensor: Any, series: Any, every: bool) -> list[Chan
 
 
 def _taken(peaks: Any, axis: int) -> float:
-    """Return the share of motion along an axis that compression may have removed, averaged by the peaks' power."""
+    """Return the share of motion along an axis that compression may have changed, averaged by the peaks' power."""
     known = [
-        (p["codec_gain"], p["codec_gain_deviation"], p["amplitude"][axis])
+        (p["codec_gain"], p["codec_gain_deviation"], p["amplitude"][axis], p.get("codec_is_made", False))
         for p in peaks
         if p.get("codec_gain")
     ]
-    gain, sure, size = np.array(known, float).reshape(-1, 3).T
+    gain, sure, size, is_made = np.array(known, float).reshape(-1, 4).T
     power = size**2
-    missing = np.maximum(1 / gain - 1, 0) ** 2 + (sure / gain**2) ** 2
+    missing = np.where(is_made, 1 / gain - 1, np.maximum(1 / gain - 1, 0)) ** 2 + (sure / gain**2) ** 2
     return float(np.sqrt(power @ missing / power.sum())) if power.sum() > 0 else 0.0
 
 
@@ -179,9 +179,11 @@ def doubts_of(path: Path) -> list[str]:
         return []
     with readable(path):
         peaks = [(s["name"], p) for s in read_json(path / "measure.json")["sensors"] for p in s["peaks"]]
-        marked = [(name, p["frequency_hz"], p["codec_mark"]) for name, p in peaks if p.get("codec_mark")]
     return [
-        f"{name} at {hz:.4g} Hz: {why}; its levels are not those of the motion" for name, hz, why in marked
+        f"{name} at {p['frequency_hz']:.4g} Hz: {p['codec_mark']}; its levels are "
+        f"{'upper' if p.get('codec_is_made') else 'lower'} bounds"
+        for name, p in peaks
+        if p.get("codec_mark")
     ]
 
 

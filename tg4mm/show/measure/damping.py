@@ -50,7 +50,7 @@ def damping_of(series: Series, peak: Peak) -> Damping | None:
 def with_loss(found: Damping | None, loss: Loss) -> Damping | None:
     """Take from the damping what compression adds, by the blind test with a tone that decays alike.
 
-    None where most of the amplitude is known to be lost: what is left of a steady vibration may do anything.
+    None where most of the amplitude is known to be lost, or made by the codec: what is left may do anything.
     """
     if loss.is_lost:
         return None

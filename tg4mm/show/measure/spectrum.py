@@ -6,7 +6,7 @@ to peak, at its frequency. There, noise of standard deviation s_f has a Rayleigh
 record of a hundred; s is the stated deviation of the samples, or the residual around a frequency without the lines if
 that is larger. Peaks are the record's lines (`core.lines`), each tested.
 
-A peak may be a harmonic: where pictures do not change in proportion to motion, f makes peaks at its multiples. It may
+A peak may be a harmonic: where pictures do not change in proportion to motion, f makes peaks at 2f and 3f too. It may
 also be a sideband from a video codec. Every Pth frame is predicted forward, those between from both sides and more
 coarsely, so that a motion of f Hz also appears at k / (P Δt) ± f. H.264 of x264, P = 4: 3.4 Hz at 30 Hz made peaks at
 7.5 − 3.4 and 15 − 3.4 Hz, thirty times weaker (docs/measure.md). Where the codec removes most of a small motion, the
@@ -24,12 +24,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tg4mm.core.lines import MULTIPLES, CodecChange, Line, Lines, alias, find_lines
+from tg4mm.core.lines import CodecChange, Line, Lines, alias, find_lines
 from tg4mm.core.lines.band import BandLine, tone_in
 
 CHANCE = 0.01  # that noise alone exceeds the floor anywhere
 OVERSAMPLED = 8  # frequencies to each 1 / duration
 _UNRESOLVED = 10.0  # times the deviation of the best direction: a direction beyond it is not resolved
+_ORDERS = 2, 3
 NEAR = 0.5  # of 1 / duration
 SURE = 3.0  # deviations
 USUAL_PERIOD = 4  # frames, for a video whose frame types show none
@@ -118,7 +119,7 @@ def harmonics_of(
 
     def of(k: int) -> Harmonic | None:
         for j in sorted(range(len(hz)), key=lambda j: -size[j]):
-            for order in MULTIPLES if size[j] > size[k] else ():
+            for order in _ORDERS if size[j] > size[k] else ():
                 error = SURE * (deviation[k] ** 2 + (order * deviation[j]) ** 2) ** 0.5
                 is_sharp = SURE * deviation[j] < resolution  # else too many peaks would be near
                 if is_sharp and abs(alias(order * hz[j], fps) - hz[k]) < max(NEAR * resolution, error):

@@ -203,6 +203,7 @@ def _peak(result: SensorResult, k: int) -> dict[str, Any]:
         "main_deviation": deviation,
         "codec_gain": gain[0],
         "codec_gain_deviation": gain[1],
+        "codec_is_made": loss is not None and loss.is_made,
         "codec_mark": None if loss is None else loss.why or None,
         "main_is_above": main_is_above(peak, orbit),
         "main_direction": orbit.direction.tolist(),
