@@ -184,8 +184,7 @@ _MOTION = {  # by key of `means.scalars`: title, format, factor
     "static_leak": ("leak, %", "{:.1f}", 100), "amplitude_ratio": ("amplitude ratio", "{:.3f}", 1),
     "direction_error_deg": ("direction off, °", "{:.1f}", 1), "mac": ("MAC", "{:.3f}", 1),
 }  # fmt: skip
-_ROWS = ("nothing moves", "modal", "ceiling")
-_LOST_AT = ("20", "50")  # α
+_ROWS, _LOST_AT = ("nothing moves", "modal", "ceiling"), ("20", "50")  # the latter α
 _LOST = f"SSIM (similarity) lost against the same Gaussians with exact motion, at α = {' / '.join(_LOST_AT)}"
 _SHORT = "eight generated scenes, 128×128, 30 cameras, motion of about 0.2 pixels"
 
@@ -275,11 +274,11 @@ def run(options: argparse.Namespace) -> None:
         figures["tables"] = merged(figures["tables"], bounds_table(text, options.group))
     if options.rivals:  # of a part of the sets and methods the rest stays; 256² has a table of its own
         made = rivals_tables(_read(options.rivals))
-        is_large = all("256²" in title for title in made["rivals"]["header"][1:])
-        own = {"rivals_256": made.pop("rivals")} if is_large else {}
-        figures["tables"] = merged(figures["tables"], made | own)
+        if all("256²" in title for title in made["rivals"]["header"][1:]):
+            made["rivals_256"] = made.pop("rivals")
+        figures["tables"] = merged(figures["tables"], made)
     FILE.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    plot = noise_plot(figures["tables"]["bounds"]["rows"], figures["tables"]["bounds"]["header"])
+    plot = noise_plot(**figures["tables"]["bounds"])
     (ROOT / "docs" / "error_over_noise.svg").write_text(plot, encoding="utf-8")
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8"), tables(figures)), encoding="utf-8")
