@@ -307,13 +307,15 @@ def _deviation(found: TestedTone) -> float:
     return float(np.hypot(SCATTER * found.error, BESIDE))
 
 
+def _made(gain: float, deviation: float) -> Loss:
+    why = f"compression adds to it, of stronger ones: a test tone becomes {gain:.2f} ± {deviation:.2f} times as large"
+    return Loss(gain, deviation, why, is_made=True)
+
+
 def _loss(search: AmplitudeSearch) -> Loss:
     if search.is_made:
         last = search.trials[-1].found
-        becomes = f"a test tone of this size becomes {last.gain:.2f} ± {_deviation(last):.2f} times as large"
-        return Loss(
-            last.gain, _deviation(last), f"compression adds to it, of stronger ones: {becomes}", is_made=True
-        )
+        return _made(last.gain, _deviation(last))
     gain, nearest, last, decay = (
         search.gain,
         search.nearest,
@@ -326,6 +328,8 @@ def _loss(search: AmplitudeSearch) -> Loss:
     if gain < LOST or deviation > _UNSURE * gain:
         why = "smaller than the codec lets through: of a test tone of this size "
         return Loss(gain, deviation, f"{why}{max(gain, 0.0):.2f} ± {deviation:.2f} is left")
+    if search.has_stronger and decay <= 0 and gain - 1 > _MADE * deviation * gain:
+        return _made(gain, deviation * gain)
     if decay > 0 and not last.decay_per_s:
         return Loss(gain, deviation, "", 0.0, decay)  # any decay may be the codec's
     if decay > 0:
