@@ -157,7 +157,8 @@ def _by_set(results: Results) -> dict[str, Any]:
 def _error(values: Mapping[str, float | None], halves: Mapping[str, float | None] | None = None) -> str:
     """Displacement error in per cent, and MAC."""
     halves = halves or {}
-    error = number("{:.1f}", *((of := x.get("displacement_error")) and 100 * of for x in (values, halves)))
+    both = (x.get("displacement_error") for x in (values, halves))
+    error = number("{:.1f}", *(None if e is None else 100 * e for e in both))
     return ", ".join(filter(None, (error, number("{:.3f}", values.get("mac"), halves.get("mac")))))
 
 
@@ -184,16 +185,14 @@ _MOTION = {  # by key of `means.scalars`: title, format, factor
     "static_leak": ("leak, %", "{:.1f}", 100), "amplitude_ratio": ("amplitude ratio", "{:.3f}", 1),
     "direction_error_deg": ("direction off, °", "{:.1f}", 1), "mac": ("MAC", "{:.3f}", 1),
 }  # fmt: skip
-_ROWS, _LOST_AT = ("nothing moves", "modal", "ceiling"), ("20", "50")  # the latter α
+_ROWS = ("nothing moves", "modal", "ceiling")
+_LOST_AT = ("20", "50")  # α
 _LOST = f"SSIM (similarity) lost against the same Gaussians with exact motion, at α = {' / '.join(_LOST_AT)}"
 _SHORT = "eight generated scenes, 128×128, 30 cameras, motion of about 0.2 pixels"
 
 
 def figures_of(results: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the figures of a benchmark's results.json.
-
-    {scenes: {name: {key: figure}}, ssim: {row: {α: mean}}, of `modal`.
-    """
+    """Return {scenes: {name: {key: figure}}, ssim: {row: {α: mean}}} of `modal`, from a benchmark's results."""
     runs = {run["set"].partition("_")[0]: scalars(run) for run in results["runs"] if run["row"] == "modal"}
     means = {m["row"]: m["alphas"] for m in results["line_means"] if m["row"] in _ROWS}
     return {
@@ -206,19 +205,19 @@ def tables(figures: Mapping[str, Any]) -> dict[str, str]:
     """{name: Markdown}: every scene, the short table of README, and those of the file."""
     scenes, ssim = figures["scenes"], figures["ssim"]
     mean = {key: sum(values[key] for values in scenes.values()) / len(scenes) for key in _MOTION}
-    half = {key: half_width([values[key] for values in scenes.values()], list(scenes)) for key in _MOTION}
+    half = {
+        k: half_width([x * v[k] for v in scenes.values()], list(scenes)) for k, (_, _, x) in _MOTION.items()
+    }
     motion = [
         [name, *(number(f, v[k] * x) for k, (_, f, x) in _MOTION.items())] for name, v in scenes.items()
     ]
-    motion.append(
-        ["mean", *(number(f, mean[k] * x, (h := half[k]) and h * x) for k, (_, f, x) in _MOTION.items())]
-    )
+    motion.append(["mean", *(number(f, mean[k] * x, half[k]) for k, (_, f, x) in _MOTION.items())])
     lost = [number("{:.4f}", ssim["ceiling"][a] - ssim["modal"][a]) for a in _LOST_AT]
     errors = {name: values["displacement_error"] for name, values in scenes.items()}
     best, worst = min(errors, key=errors.__getitem__), max(errors, key=errors.__getitem__)
     why = f": {note}" if (note := figures.get("notes", {}).get(worst)) else ""
     cells = (
-        f"{100 * mean['displacement_error']:.0f} ± {100 * (half['displacement_error'] or 0):.0f} %",
+        f"{100 * mean['displacement_error']:.0f} ± {half['displacement_error'] or 0:.0f} %",
         f"{100 * errors[best]:.0f} % ({best})",
         f"{100 * errors[worst]:.0f} % ({worst}{why})",
     )

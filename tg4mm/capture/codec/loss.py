@@ -54,7 +54,7 @@ _FEWEST_OF_KIND = 8  # frames, more than which show what a kind lacks
 _FOLDS = 3  # e-foldings of a decaying tone that its test contains
 _ALIKE = 0.9  # of the measured amplitude, what the last test may leave
 _ROUNDS = 5  # encodings, at most
-_MADE = 3.0  # deviations by which more is left of a tone than was encoded, from which the codec makes a part of it
+_MADE = 3.0  # deviations: a tone that grows by more in the encoding is made by the codec, at least in part
 _APART = 0.2  # of the logarithms of the amplitudes of two trials, from which the exponent follows
 
 
@@ -215,10 +215,9 @@ def _searched(
             break
         if round_ + 1 < _ROUNDS:
             length = int(np.clip(needed, length, len(times)))
-            for search in (
-                search for search in every if not search.is_made
-            ):  # those are encoded again as they are
-                search.encoded = search.following()
+            for search in every:
+                if not search.is_made:  # what is made is encoded again as it is
+                    search.encoded = search.following()
     return [[_loss(search) for search in of_region] for of_region in searches]
 
 

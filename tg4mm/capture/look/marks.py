@@ -15,9 +15,10 @@ from tg4mm.core.lines import alias
 
 _WEAK = 30.0  # times weaker beside a line: what a codec makes of it
 _LARGER = 2.0  # times the amplitude of a line that others are made of
-# More multiples, of a codec that skips small changes: it is an odd function of the motion, whose n-th multiple is at
-# most 1 / n of it, as in a square wave.
-_MULTIPLES, _OF_CODEC = (2, 3, 4), (5, 7)
+_MULTIPLES = (2, 3, 4)
+# A codec that skips small changes is an odd function of the motion, and makes more multiples. They are marked up to
+# 1 / n of it, the size that they have in a square wave; a larger line may be a vibration.
+_OF_CODEC = (5, 7)
 _INEXACT = 0.015  # of a line's amplitude: the error of its shift (kernel and series), of which other lines may be made
 _EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
 _LIGHT_PX = 0.3  # that light seems to move a place by, a unit of its change: what gain and offset leave of it
