@@ -161,6 +161,8 @@ def test_of_noise_alike_along_all_axes_a_clear_main_axis_keeps_all():
 )
 def test_two_and_three_times_a_stronger_frequency(hz, size, expected):
     assert harmonics_of([7.0, hz], [0.001, 0.001], [1.0, size], FPS, RESOLUTION)[1] == expected
+    odd = [harmonics_of([6.7, 26.5], [1e-3, 1e-3], [1.0, share], 60.0, 0.1)[1] for share in (0.15, 0.25)]
+    assert odd == [Harmonic(5, 6.7), None]  # 33.5 Hz at 60 Hz, up to a fifth
     uncertain = harmonics_of([7.0, 14.5], [0.1, 0.001], [1.0, 0.1], FPS, RESOLUTION)
     assert uncertain[1] == Harmonic(2, 7.0)  # within three deviations
     # Of what has hardly one.

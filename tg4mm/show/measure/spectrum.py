@@ -30,7 +30,7 @@ from tg4mm.core.lines.band import BandLine, tone_in
 CHANCE = 0.01  # that noise alone exceeds the floor anywhere
 OVERSAMPLED = 8  # frequencies to each 1 / duration
 _UNRESOLVED = 10.0  # times the deviation of the best direction: a direction beyond it is not resolved
-_ORDERS = 2, 3
+_ORDERS = 2, 3, 5, 7  # 5 and 7: of a codec, and of at most 1 / n (`capture/look/marks.py`)
 NEAR = 0.5  # of 1 / duration
 SURE = 3.0  # deviations
 USUAL_PERIOD = 4  # frames, for a video whose frame types show none
@@ -119,7 +119,7 @@ def harmonics_of(
 
     def of(k: int) -> Harmonic | None:
         for j in sorted(range(len(hz)), key=lambda j: -size[j]):
-            for order in _ORDERS if size[j] > size[k] else ():
+            for order in (n for n in _ORDERS if size[j] > size[k] * (n if n > 3 else 1)):
                 error = SURE * (deviation[k] ** 2 + (order * deviation[j]) ** 2) ** 0.5
                 is_sharp = SURE * deviation[j] < resolution  # else too many peaks would be near
                 if is_sharp and abs(alias(order * hz[j], fps) - hz[k]) < max(NEAR * resolution, error):
