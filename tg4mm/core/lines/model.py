@@ -8,6 +8,7 @@ The noise around lines: its level over frequency, and the covariance that it giv
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -129,14 +130,19 @@ def refined(
 
     slow = trend(t)
 
-    def misfit(x: np.ndarray) -> np.ndarray:
-        basis = np.linalg.qr(_columns([s.wave(t) for s in _with(shapes, x, duration)], slow))[0]
-        return (y - basis @ (basis.T @ y)).ravel() / scale
-
-    def jacobian(x: np.ndarray) -> np.ndarray:
+    @lru_cache(1)  # the Jacobian is asked for where the misfit was
+    def factored(x: tuple[float, ...]) -> tuple[list[LineShape], list[np.ndarray], np.ndarray, np.ndarray]:
         moved = _with(shapes, x, duration)
         waves = [s.wave(t) for s in moved]
         basis, upper = np.linalg.qr(_columns(waves, slow))
+        return moved, waves, basis, upper
+
+    def misfit(x: np.ndarray) -> np.ndarray:
+        basis = factored(tuple(x))[2]
+        return (y - basis @ (basis.T @ y)).ravel() / scale
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        moved, waves, basis, upper = factored(tuple(x))
         weights = np.linalg.lstsq(upper, basis.T @ y, rcond=None)[0][slow.shape[1] :]
         phasors = weights[0::2] + 1j * weights[1::2]
         each = zip(moved, phasors, waves, strict=True)
@@ -151,7 +157,7 @@ def refined(
     return _with(shapes, found.x, duration)
 
 
-def _with(shapes: Sequence[LineShape], x: np.ndarray, duration: float) -> list[LineShape]:
+def _with(shapes: Sequence[LineShape], x: Sequence[float] | np.ndarray, duration: float) -> list[LineShape]:
     out, k = [], 0
     for s in shapes:
         decay = s.decay
@@ -228,9 +234,11 @@ def log_floor(power: np.ndarray, hz: np.ndarray, allowed: np.ndarray) -> tuple[n
     for k in range(_CLIPS):
         if k:
             fitted = np.polyval(np.polyfit(x[kept], y[kept], 2 if kept.sum() > _ENOUGH else 0), x)
-        above = y - fitted
+        above, before = y - fitted, kept
         spread = 1.4826 * float(np.median(np.abs(above[kept])))
         kept = allowed & (above < max(2 * spread, 1e-6))
+        if k and (kept == before).all():
+            break
     return fitted, spread
 
 

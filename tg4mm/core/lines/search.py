@@ -89,7 +89,7 @@ class _Look:
     t: np.ndarray
     step: float  # s
     hz: np.ndarray  # [F]
-    turned: np.ndarray  # [F, T] exp(−iωt)
+    turned: np.ndarray  # [2, F, T] Re and Im of exp(−iωt)
     level: np.ndarray  # [F, D]
     away: np.ndarray  # [F] Hz to the nearest line; −1 within the width of one
     least: float
@@ -120,31 +120,31 @@ class _Look:
         shapes = [LineShape(0.0, rate / float(np.ptp(self.t))) for rate in rates]
         envelopes = np.stack([shape.envelope(self.t) for shape in shapes], 1)  # [T, R]
         weighted = (self.residual[:, None] * envelopes[..., None]).reshape(len(self.t), -1)
-        sums = (self.turned @ weighted).reshape(len(self.hz), len(shapes), -1)
-        return self._highest(sums.transpose(1, 0, 2), (envelopes**2).sum(0), shapes)
+        sums = (self.turned @ weighted).reshape(2, len(self.hz), len(shapes), -1)
+        return self._highest(sums, (envelopes**2).sum(0), shapes)
 
     def beginning(self) -> LineCandidate:
         """Return the best line that begins a period or more into the record, at the first sample of a block."""
         t, best = self.t, LineCandidate(LineShape(0.0), 0.0)
         edges = np.unique(np.linspace(0, len(t), _BLOCKS + 1).astype(int))
         rates = np.array(_DECAYS) / float(np.ptp(t))
-        sums = np.zeros((len(rates), *self.level.shape), complex)
+        sums = np.zeros((2, len(self.hz), len(rates), self.level.shape[1]))
         energies = np.zeros(len(rates))
         for first, last in zip(edges[-2:0:-1], edges[:1:-1], strict=True):
             rows = slice(first, last)
             e = np.exp(-rates[:, None] * (t[rows] - t[first]))
             carried = np.exp(-rates * (t[last] - t[first])) if last < len(t) else np.zeros(len(rates))
             weighted = (self.residual[rows][:, None] * e.T[..., None]).reshape(last - first, -1)
-            fresh = (self.turned[:, rows] @ weighted).reshape(len(self.hz), len(rates), -1)
-            sums = fresh.transpose(1, 0, 2) + carried[:, None, None] * sums
+            sums *= carried[:, None]
+            sums += (self.turned[..., rows] @ weighted).reshape(sums.shape)
             energies = (e**2).sum(1) + carried**2 * energies
             shapes = [LineShape(0.0, float(rate), int(first)) for rate in rates]
             best = best.or_better(self._highest(sums, energies, shapes), self.least)
         return best
 
     def _highest(self, sums: np.ndarray, energies: np.ndarray, shapes: Sequence[LineShape]) -> LineCandidate:
-        """The best of R filters by sums [R, F, D] and energies [R], at the peak of the power nearby."""
-        power = np.abs(sums) ** 2 / energies[:, None, None]
+        """The best of R filters by sums [2, F, R, D], Re and Im, and energies [R], at the peak of the power nearby."""
+        power = np.einsum("cfrd,cfrd->rfd", sums, sums) / energies[:, None, None]
         lasts, before = energies[:, None] * self.step, self.t[shapes[0].start] - self.t[0]
         allowed = (self.hz * lasts >= LEAST_PERIODS) & (energies[:, None] >= _LEAST_SAMPLES)
         allowed &= self.away > np.where(lasts > 0.5 * np.ptp(self.t), 0.5, 1) / lasts
@@ -152,8 +152,8 @@ class _Look:
             allowed &= self.hz * before >= LEAST_PERIODS
         if not allowed.any():
             return LineCandidate(shapes[0], 0.0)
-        statistic = np.where(allowed, (power / self.level).sum(2), 0.0)
-        total = (power / self.level.mean(0)).sum(2)
+        statistic = np.where(allowed, np.einsum("rfd,fd->rf", power, 1 / self.level), 0.0)
+        total = power @ (1 / self.level.mean(0))
         stands_out = statistic >= self.least
         best = int((np.where(stands_out, total, 0) if stands_out.any() else statistic).argmax())
         k, at = divmod(best, len(self.hz))
@@ -166,12 +166,13 @@ class _Look:
 
 
 def _turned(hz: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return [F, T] exp(−iωt) of frequencies of one step: each a product of two, an exponential costs more."""
+    """Return [2, F, T]: exp(−iωt) of frequencies of one step, each a product of two, an exponential costs more."""
     few = int(np.sqrt(len(hz))) + 1
     coarse, fine = (
         np.exp(-2j * np.pi * frequencies[:, None] * t) for frequencies in (hz[::few], hz[:few] - hz[:1])
     )
-    return np.asarray((coarse[:, None] * fine).reshape(-1, len(t))[: len(hz)])
+    turned = (coarse[:, None] * fine).reshape(-1, len(t))[: len(hz)]
+    return np.stack([turned.real, turned.imag])
 
 
 def without_between(
@@ -179,7 +180,7 @@ def without_between(
 ) -> tuple[Record, list[LineShape], bool] | None:
     """Return the record without B-frames, its lines, and whether the B-frames differ from it.
 
-    shapes: by falling strength. between [T] bool. None where all pictures count: the others are too few, or cannot
+    shapes: by falling strength. b_frames [T] bool. None where all pictures count: the others are too few, or cannot
     separate a line from its mirror image, or from another where nothing shows that one is a sideband.
     """
     forward = np.flatnonzero(~b_frames)
