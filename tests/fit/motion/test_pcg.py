@@ -6,6 +6,7 @@ many for few Gaussians as for many.
 
 from dataclasses import dataclass, field, replace
 
+import numba
 import numpy as np
 import pytest
 import torch
@@ -174,6 +175,19 @@ def test_the_minimum_stays_the_same_field(patches):
     one, same = solved(plain(o), 3000), solved(o, 100)
     assert np.abs(one).max() > 0
     np.testing.assert_allclose(one, same, atol=2e-2 * np.abs(one).max())
+
+
+def test_the_number_of_threads_does_not_change_a_bit():
+    o, before = operator(problem(patches=True)), numba.get_num_threads()
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("numba has one thread here; comparing thread counts needs 2")
+    found = []
+    for threads in (1, 2):
+        numba.set_num_threads(threads)
+        solution = pcg(o, draw(o, 5), 4, 0.0)
+        found.append([solution.theta, o.fields(solution.theta), o.gradient_fields(solution.theta)])
+    numba.set_num_threads(before)
+    assert all(np.array_equal(a, b) and a.any() for a, b in zip(*found, strict=True))
 
 
 def test_it_is_reached_in_fewer_iterations():

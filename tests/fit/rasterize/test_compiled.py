@@ -38,7 +38,7 @@ print(sum("zmm" in c for c in code), sum("ymm" in c for c in code), hits)
 THREADS_SCRIPT = """
 import os, sys
 import numba, numpy as np
-from tg4mm.fit.rasterize.kernels.compiled import shared
+from tg4mm.fit.rasterize.kernels.compiled import on_each, shared
 numba.set_num_threads(2)
 
 @shared
@@ -52,6 +52,7 @@ def marked():
     return out.tolist()
 
 print(marked())
+print(on_each(lambda k: (k, *marked()[:2]), "abc"), on_each(lambda k: marked()[:2], "a"))
 sys.stdout.flush()
 if hasattr(os, "fork"):
     child = os.fork()
@@ -102,7 +103,9 @@ def test_threads_share_a_kernel_also_in_a_forked_process_and_say_what_is_wrong(t
     environment = os.environ | {"NUMBA_NUM_THREADS": "2", "PYTHONPATH": str(root), "PYTHONWARNINGS": "ignore"}
     command = [sys.executable, "threads.py"]
     done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300)
-    assert done.stdout.splitlines() == ["[1.0, 2.0, 1.0, 2.0, 1.0]", "refused"], done.stderr
+    alone = [(item, 1.0, 1.0) for item in "abc"]  # each on one thread, in the order given
+    said = ["[1.0, 2.0, 1.0, 2.0, 1.0]", f"{alone} [[1.0, 2.0]]", "refused"]
+    assert done.stdout.splitlines() == said, done.stderr
 
 
 def compared(cache, processor):

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from tg4mm.capture import Capture
 from tg4mm.core.choices import Kind
 from tg4mm.core.digits import value_with_deviation
-from tg4mm.core.lines import FEWEST, CodecChange, Line, find_lines, fit_lines, projected
+from tg4mm.core.lines import FEWEST, CodecChange, Line, Lines, find_lines, fit_lines, projected
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import CLEAR_PERIODS
 
@@ -240,14 +241,29 @@ def line_near(
     least = noise * float(np.sqrt((series**2).mean()))
     if n < max(FEWEST, 4 * (1 + len(others)) + _FREE):
         return None
+    marks = None if b_frames is None else tuple(b_frames.tolist())
     near = [
         (abs(line.hz - hz), line)
-        for line in find_lines(series, times, least, b_frames=b_frames, codec=codec).lines
+        for line in _lines_of(tuple(series.tolist()), fps, least, marks, codec).lines
         if abs(line.hz - hz) < max(fps / n, abs(line.decay_per_s) / np.pi)
     ]
     if near:
         return min(near, key=lambda pair: pair[0])[1]
     return fit_lines(series, times, [hz, *others], least, codec).lines[0]
+
+
+@lru_cache(16)  # the result of a run is read for each of its pages and tables
+def _lines_of(
+    series: tuple[float, ...],
+    fps: float,
+    noise: float,
+    b_frames: tuple[bool, ...] | None,
+    codec: CodecChange | None,
+) -> Lines:
+    times = np.arange(len(series)) / fps
+    return find_lines(
+        np.array(series), times, noise, b_frames=None if b_frames is None else np.array(b_frames), codec=codec
+    )
 
 
 def phasors_at(motion: ModalMotion, line: Line, b_frames: np.ndarray | None = None) -> np.ndarray:

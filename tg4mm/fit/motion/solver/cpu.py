@@ -11,6 +11,7 @@ from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Projection
 from tg4mm.fit.motion.prior import NeighbourGraph
 from tg4mm.fit.motion.solver.preconditioner import MultilevelPreconditioner
+from tg4mm.fit.rasterize.kernels.compiled import on_each
 
 AT_ONCE = 8  # fields in a pass over a view: half the time of eight passes; more would only take more memory
 
@@ -37,8 +38,7 @@ class CpuOperator:
 
     def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
         """`Operator.right_hand_sides`."""
-        gathered = self.supported(self.gathered(pictures))
-        return np.stack([self.preconditioner.from_field(self.graph.from_motion(v)) for v in gathered])
+        return np.stack(on_each(self.from_motion, self.supported(self.gathered(pictures))))
 
     def gathered(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
         """Return [R, N, 6]: Σ_v C_vᵀ Jᵀ W of target images."""
@@ -67,17 +67,25 @@ class CpuOperator:
 
     def fields(self, theta: np.ndarray) -> np.ndarray:
         """`Operator.fields`."""
-        motions = [self.graph.motion(self.preconditioner.field(t)) for t in theta]
-        return self.supported(np.stack(motions))
+        return self.supported(np.stack(on_each(lambda one: self.field_and_motion(one)[1], theta)))
 
     def gradient_fields(self, theta: np.ndarray) -> np.ndarray:
         """`Operator.gradient_fields`."""
-        return np.stack([self.preconditioner.field(t) for t in theta])
+        return np.stack(on_each(self.preconditioner.field, theta))
 
     def prior_products(self, x: np.ndarray) -> np.ndarray:
         """`Operator.prior_products`."""
         nothing = np.zeros((self.graph.n_gaussians, DOF), np.float32)
-        return np.stack([self.with_prior(one, nothing) for one in x])
+        return np.stack(on_each(lambda one: self.with_prior(one, nothing), x))
+
+    def field_and_motion(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the field [4N, 3] that θ [P, 3] stands for, and its motion [N, 6]."""
+        x = self.preconditioner.field(theta)
+        return x, self.graph.motion(x)
+
+    def from_motion(self, v_motion: np.ndarray) -> np.ndarray:
+        """The transpose of `field_and_motion`'s second: [N, 6] -> [P, 3]."""
+        return self.preconditioner.from_field(self.graph.from_motion(v_motion))
 
     def with_prior(self, x: np.ndarray, v_motion: np.ndarray) -> np.ndarray:
         """Return [P, 3]: the operator on a field x [4N, 3], given JᵀWJ of its motion [N, 6]."""
@@ -138,17 +146,20 @@ class CpuOperator:
 
 def products_of(operators: Sequence[CpuOperator], thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Products of operators that share views, weights and mixing with θ [R, P, 3] of each, in one pass over views."""
-    x = [o.gradient_fields(theta) for o, theta in zip(operators, thetas, strict=True)]
-    each = zip(operators, x, strict=True)
-    motions = np.stack([o.supported(np.stack([o.graph.motion(one) for one in fields])) for o, fields in each])
+    n = len(thetas[0])
+    each = [(o, one) for o, theta in zip(operators, thetas, strict=True) for one in theta]
+    x, moved = zip(*on_each(lambda pair: pair[0].field_and_motion(pair[1]), each), strict=True)
+    motions = np.stack([o.supported(np.stack(moved[k * n : (k + 1) * n])) for k, o in enumerate(operators)])
     v_motions = np.zeros_like(motions)
     for k in range(len(operators[0].views)):
         operators[0].add_view(k, motions, v_motions)
-    out = []
-    for operator, fields, v_own in zip(operators, x, v_motions, strict=True):
-        pairs = zip(fields, operator.supported(v_own), strict=True)
-        out.append(np.stack([operator.with_prior(one, v) for one, v in pairs]))
-    return out
+    supported = [v for o, v_own in zip(operators, v_motions, strict=True) for v in o.supported(v_own)]
+
+    def product(i: int) -> np.ndarray:
+        return each[i][0].with_prior(x[i], supported[i])
+
+    products = on_each(product, range(len(each)))
+    return [np.stack(products[k * n : (k + 1) * n]) for k in range(len(operators))]
 
 
 def _at_once(n: int) -> list[slice]:
@@ -173,9 +184,7 @@ class SharedPass:
     def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
         """Concatenate the right-hand sides of all operators."""
         gathered = self.operators[0].gathered(pictures)
-        return np.stack(
-            [o.preconditioner.from_field(o.graph.from_motion(v)) for o in self.operators for v in gathered]
-        )
+        return np.stack([b for o in self.operators for b in on_each(o.from_motion, gathered)])
 
     def products(self, theta: np.ndarray, rows: Sequence[int] | None = None) -> np.ndarray:
         """`Operator.products`; `rows` of whole operators."""

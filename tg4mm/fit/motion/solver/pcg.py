@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from tg4mm.fit.motion.solver.operator import Array, System
+from tg4mm.fit.rasterize.kernels.compiled import on_each
 
 _EXACT = 1e-12  # squared relative residual: the limit of float32; further iterations only add up rounding, and diverge
 
@@ -58,7 +59,9 @@ def _step(
     theta, residual, direction = state
     rows = [s * together + k for s in going for k in range(together)]
     images = operator.products(direction, None if len(rows) == len(theta) else rows)
-    for i, s in enumerate(going):
+
+    def advance(i: int) -> None:
+        s = going[i]
         solved = range(s * together, (s + 1) * together)
         in_images = range(i * together, (i + 1) * together)
         curvature = sum(_inner(direction[r], images[q]) for r, q in zip(solved, in_images, strict=True))
@@ -71,6 +74,12 @@ def _step(
             direction[r] *= after / squares[s]
             direction[r] += residual[r]
         squares[s] = after
+
+    if isinstance(theta, np.ndarray):
+        on_each(advance, range(len(going)))
+    else:
+        for i in range(len(going)):
+            advance(i)
 
 
 def sent(values: np.ndarray, device: str) -> Array:

@@ -13,16 +13,18 @@ import gc
 import hashlib
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, update_wrapper
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from numba import config, get_num_threads, njit
+from numba import config, get_num_threads, njit, set_num_threads
 from numba.core import event
 
 _LOG = logging.getLogger("tg4mm")
+T = TypeVar("T")
+U = TypeVar("U")
 
 # Of parts, which kernels alone call: wrappers for calls from Python would take a sixth of all compile time.
 _PART = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -93,6 +95,25 @@ def shared(function: Callable[..., None]) -> Any:
                 other.result()
 
     return update_wrapper(on_all_threads, dispatcher)
+
+
+def on_each(function: Callable[[T], U], items: Iterable[T]) -> list[U]:
+    """Return what a function makes of each item. The threads share the items, if there are enough for all of them.
+
+    Kernels that it calls then run on one thread each; with fewer items, all threads share each kernel.
+    """
+    workers, each = get_num_threads(), list(items)
+    if workers == 1 or len(each) < workers:
+        return [function(item) for item in each]
+
+    def some(worker: int) -> list[U]:
+        set_num_threads(1)  # of this thread alone
+        return [function(item) for item in each[worker::workers]]
+
+    out: list[Any] = [None] * len(each)
+    for worker, made in enumerate(_pool().map(some, range(workers))):
+        out[worker::workers] = made
+    return out
 
 
 @lru_cache
