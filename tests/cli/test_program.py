@@ -215,21 +215,25 @@ def test_generate_without_blender_says_how_to_install_it():
     assert 'bpy, which is not installed: pip install "tg4mm[generate]"' in refused(done)
 
 
+@pytest.mark.parametrize("start", ["fill()", "t = threading.Thread(target=fill); t.start(); t.join()"])
 @pytest.mark.skipif(sys.platform != "linux" or platform.libc_ver()[0] != "glibc", reason="of glibc alone")
-def test_a_large_array_takes_the_place_of_the_last_one(repo_root):
-    """An array of 64 MiB takes 16,384 pages, which the system hands out anew unless the program keeps them."""
+def test_a_large_array_takes_the_place_of_the_last_one(repo_root, start):
+    """An array of 32 MiB takes 8,192 pages, which the system hands out anew unless the program keeps them."""
     program = (
-        "import resource, numpy as np\n{}\n"
+        "import resource, threading, numpy as np\n{}\n"
         "def faults(): return resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
-        "for _ in range(2): np.ones(8 << 20)\n"
-        "before = faults()\n"
-        "for _ in range(4): np.ones(8 << 20)\n"
-        "print(faults() - before)"
+        "def fill():\n"
+        "    held = [np.ones(1 << 20) for _ in range(5)]\n"
+        "    for _ in range(2): np.ones(4 << 20)\n"
+        "    before = faults()\n"
+        "    for _ in range(4): np.ones(4 << 20)\n"
+        "    print(faults() - before)\n"
+        f"{start}"
     )
     kept = "from tg4mm.cli.program import _keep_freed_memory; _keep_freed_memory()"
     counts = []
-    for start in ("", kept):
-        words = [sys.executable, "-c", program.format(start)]
+    for first in ("", kept):
+        words = [sys.executable, "-c", program.format(first)]
         environment = {k: v for k, v in os.environ.items() if not k.startswith(("MALLOC", "GLIBC"))}
         environment["NUMPY_MADVISE_HUGEPAGE"] = "0"
         done = subprocess.run(

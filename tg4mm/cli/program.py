@@ -26,7 +26,9 @@ from tg4mm.run.options import LIST_SETTINGS, TrainOptions
 from tg4mm.show import options as show
 
 BAD_INPUT, INTERRUPTED = 2, 130
-_TRIM_THRESHOLD, _MMAP_THRESHOLD, _KEPT = -1, -3, 1 << 30  # of mallopt(3); bytes
+# Of mallopt(3), and bytes: what is kept free at the end of memory, the size from which an array is one of its own, and
+# what a thread's memory, which comes in pieces of 64 MiB, keeps of an empty piece.
+_TRIM_THRESHOLD, _MMAP_THRESHOLD, _TOP_PAD = (-1, 1 << 30), (-3, 1 << 30), (-2, 1 << 26)
 ABOUT = """3D motion magnification: shows and measures subtle vibration, from any viewpoint.
 
 look finds in seconds what vibrates in a video. process does everything with one, in one folder; its steps are
@@ -95,14 +97,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _keep_freed_memory() -> None:
     """Let glibc hand freed memory on to the next large array.
 
-    It returns arrays of 32 MiB or more to the system, whose new pages took half of all time in the system.
+    It returns arrays of 32 MiB or more to the system, and empty pieces of a thread's memory; new pages took half of all
+    time in the system.
     """
     if sys.platform != "linux":
         return
     with contextlib.suppress(OSError, AttributeError):  # another C library
         mallopt = ctypes.CDLL(None).mallopt
-        for option in _TRIM_THRESHOLD, _MMAP_THRESHOLD:
-            mallopt(option, _KEPT)
+        for option in _TRIM_THRESHOLD, _MMAP_THRESHOLD, _TOP_PAD:
+            mallopt(*option)
 
 
 def _run(words: list[str]) -> int:
