@@ -60,7 +60,7 @@ def scored(seed: int, kind: str, longest: int = 1500) -> tuple[bool, int, float,
     return not own, len(lines) - bool(own), float(error), f"{words}: {found}, off by {error:.1f}"
 
 
-def told_apart(seed: int, apart: float, ratio: float, noise: float) -> bool:
+def are_resolved(seed: int, apart: float, ratio: float, noise: float) -> bool:
     """Return whether two lines of a record of 300 samples are two."""
     rng, t = np.random.default_rng(seed), np.arange(300) / 30
     hz = rng.uniform(3, 10)
@@ -88,5 +88,5 @@ def run(options: Any) -> None:
         print("ratio " + " ".join(f"{apart:5g}" for apart in APART))
         for ratio in RATIOS:
             seeds = range(options.first, options.first + options.pairs)
-            shares = [np.mean([told_apart(seed, apart, ratio, noise) for seed in seeds]) for apart in APART]
+            shares = [np.mean([are_resolved(seed, apart, ratio, noise) for seed in seeds]) for apart in APART]
             print(f"{ratio:5g} " + " ".join(f"{share:5.0%}" for share in shares), flush=True)

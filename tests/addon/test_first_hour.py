@@ -101,7 +101,7 @@ def test_an_import_shows_a_frame_in_which_something_moves(extension, tmp_path, p
 
 @pytest.mark.parametrize("up", UPS)
 @pytest.mark.parametrize("kind", ["cameras.json", "transforms.json"])
-def test_up_is_told_by_the_cameras(extension, splat_path, up, kind):
+def test_up_is_estimated_from_the_cameras(extension, splat_path, up, kind):
     turn = colmap_camera(UPS[up])
     if kind == "cameras.json":
         cameras: Any = [{"rotation": turn.tolist(), "position": [0, 0, 0]}] * 3

@@ -49,7 +49,7 @@ def moving_patch():
     return true, np.ones((20, 20))
 
 
-def test_wrong_answers_are_told_apart():
+def test_wrong_answers_are_distinguished():
     true, weights = moving_patch()
     small = comparison(0.9 * true, true, weights)
     assert small["error"] == pytest.approx(0.1)

@@ -31,7 +31,7 @@ def video(tmp_path_factory):
     return path
 
 
-def test_a_video_is_told_in_words_and_drawn(video, tmp_path, monkeypatch, capsys):
+def test_a_video_is_described_in_words_and_drawn(video, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["look", str(video)]) == 0
     said = capsys.readouterr().out

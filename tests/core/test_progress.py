@@ -93,7 +93,7 @@ def test_terminal_gets_a_bar_also_inside_another():
         assert part in shown
 
 
-def test_a_listener_is_told_how_far_a_job_is_and_how_long_it_takes():
+def test_a_listener_learns_how_far_a_job_is_and_how_long_it_takes():
     now, heard = iter([0.0, 2.0, 2.1, 4.0]), list[str]()
     state = HeardProgress("frames", 40, "frames", 0, sys.stderr, lambda: next(now), listener=heard.append)
     state.update(10)

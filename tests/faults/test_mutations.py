@@ -69,7 +69,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_each_kind_of_fault_is_told(fault, monkeypatch):
+def test_each_kind_of_fault_is_reported(fault, monkeypatch):
     monkeypatch.setattr(harness, "LIMIT_S", 1.0)
     monkeypatch.setattr(harness, "FIRST_S", 1.0)
     reader = Reader(make, lambda root: fault(root) if spoilt(root) else None, lambda data, rng: data + b"x")

@@ -53,22 +53,22 @@ def _read(read):
 
 
 @pytest.mark.parametrize("name", ["space", "motion", "uncertainty", "checkpoint_motion"])
-def test_a_flipped_bit_is_told_or_does_no_harm(run, name):
+def test_a_flipped_bit_is_reported_or_does_no_harm(run, name):
     """Never a number that is not what was written. Most bits lie in numbers."""
     reads: dict[str, Callable[[], Any]] = {
         "space": run.load_space, "motion": run.load_motion, "uncertainty": run.load_uncertainty,
         "checkpoint_motion": lambda: run.load_checkpoint("motion"),
     }  # fmt: skip
     file = run.part_file(name)
-    whole, expected, rng, told = file.read_bytes(), repr(reads[name]()), random.Random(0), 0
+    whole, expected, rng, refused = file.read_bytes(), repr(reads[name]()), random.Random(0), 0
     for _ in range(300):
         raw = bytearray(whole)
         raw[rng.randrange(len(raw))] ^= 1 << rng.randrange(8)
         file.write_bytes(raw)
         found = _read(reads[name])
         assert found in (expected, None)
-        told += found is None
-    assert told > 250
+        refused += found is None
+    assert refused > 250
 
 
 def test_damage_to_a_number_is_called_so_and_a_checkpoint_says_what_to_do(run):

@@ -90,7 +90,9 @@ class TestRequests:
         assert not (tmp_path / "run").exists()
 
     @pytest.mark.parametrize(("n_timesteps", "is_refused"), [(2, True), (5, True), (6, False)])
-    def test_a_record_in_which_no_frequency_can_be_told_is_refused(self, n_timesteps, is_refused, tmp_path):
+    def test_a_record_in_which_no_frequency_can_be_resolved_is_refused(
+        self, n_timesteps, is_refused, tmp_path
+    ):
         path = tmp_path / "data"
         make_synthetic_dataset(path, n_views=2, n_timesteps=n_timesteps, size=24, alphas=(), n_test=0)
         if is_refused:

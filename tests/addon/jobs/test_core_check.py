@@ -38,7 +38,7 @@ def test_what_is_missing_is_named(extension, tmp_path, lost):
         extension.jobs.core_check.check(python, "0.1.0")
 
 
-def test_what_is_no_python_is_told(extension, tmp_path):
+def test_a_file_that_is_no_python_is_reported(extension, tmp_path):
     check = extension.jobs.core_check.check
     with pytest.raises(Exception, match="is not a Python interpreter: choose bin/python"):
         check(answering(tmp_path / "talker", "hello"), "0.1.0")

@@ -93,7 +93,7 @@ def test_probe_shows_rows_a_curve_and_exports(extension, splat_path):
     assert "Nothing probed yet" in drawn(extension, obj)
 
 
-def test_what_makes_native_splats_coarse_is_told_and_goes(extension, splat_path, tmp_path):
+def test_what_makes_native_splats_coarse_is_shown_and_goes(extension, splat_path, tmp_path):
     if not extension.compat.native_splats():
         pytest.skip("this Blender has no splats of its own")
     splat = read_splat(splat_path)

@@ -65,7 +65,7 @@ def measured(path, hz, region=REGION):
         ("libx265", {"b": "500000", "x265-params": "log-level=none"}),
     ],
 )
-def test_what_is_lost_is_told_blind(tmp_path, codec, options, hz):
+def test_what_is_lost_is_estimated_without_the_original(tmp_path, codec, options, hz):
     path = film(tmp_path / "a.mp4", hz, codec, **options)
     amplitude, error = measured(path, hz)
     (loss,) = codec_losses(path, [REGION], [[MeasuredTone(hz, np.array([amplitude, 0]))]], FPS)[0]
@@ -138,7 +138,7 @@ def test_little_is_left_of_a_small_motion_of_a_photograph(tmp_path, seed):
 
 
 @pytest.mark.parametrize(("made_px", "is_made"), [(0.0, False), (0.002, False), (0.02, True), (0.03, True)])
-def test_a_line_that_the_codec_makes_of_a_stronger_one_is_told_from_one_that_is_there(
+def test_a_line_that_the_codec_makes_of_a_stronger_one_is_distinguished_from_a_true_one(
     tmp_path, monkeypatch, made_px, is_made
 ):
     """A codec that leaves nine tenths of each tone, and adds `made_px` pixels at the third, beside a strong one."""
@@ -227,7 +227,7 @@ def test_directions_turn_with_the_picture(flags):
         ("mpeg4", {}, False),
     ],
 )
-def test_a_codec_that_keeps_every_pixel_is_told(tmp_path, codec, options, keeps):
+def test_a_codec_that_keeps_every_pixel_is_recognised(tmp_path, codec, options, keeps):
     path = tmp_path / ("a.avi" if codec in ("utvideo", "mpeg4") else "a.mkv")
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=25, options=options)

@@ -37,10 +37,10 @@ def post():
 
 
 def test_a_rigid_post_tells_the_readout_and_the_option_is_offered(post):
-    told = readout_of(post)
-    assert abs(told.seconds - READOUT_S) < 2.5 * told.deviation_s < 0.006
+    estimate = readout_of(post)
+    assert abs(estimate.seconds - READOUT_S) < 2.5 * estimate.deviation_s < 0.006
     note = row_note(post)
-    assert f"--readout {1e3 * told.seconds:.1f} would explain it, ± " in note
+    assert f"--readout {1e3 * estimate.seconds:.1f} would explain it, ± " in note
     assert note.endswith("if what vibrates moves at the same time at all heights")
     assert post.rows_s == 0  # never applied
     assert row_note(with_rows(post, READOUT_S)) == ""
@@ -61,10 +61,10 @@ def test_deviations_by_phases_cover_the_truth():
         heights = np.repeat(np.linspace(0.1, 0.9, 10), 3)
         angles = 2 * np.pi * hz * readout * heights + rng.normal(size=30) / weight**0.5
         angles += np.pi * (heights > rng.uniform(0, 2))  # beyond a node
-        told = by_phases(angles, np.full(30, weight), heights, hz)
-        if told is not None:
+        estimate = by_phases(angles, np.full(30, weight), heights, hz)
+        if estimate is not None:
             answered += 1
-            off.append(abs(told.seconds - readout) / told.deviation_s)
+            off.append(abs(estimate.seconds - readout) / estimate.deviation_s)
     assert answered > 100
     assert np.mean(np.array(off) < 2) > 0.93
     assert np.mean(np.array(off) < 1) < 0.95  # and not by being far too wide
@@ -80,12 +80,12 @@ def bands_of_light(rate, mains, depth, rng):
 @pytest.mark.parametrize(("rate", "mains"), [(30, 100), (24, 100.02), (60, 99.97), (25, 120), (50, 120)])
 def test_a_lamp_tells_the_readout(rate, mains):
     rows = bands_of_light(rate, mains, 0.01, np.random.default_rng(2))
-    told = by_light(rows, np.arange(len(rows)) / rate)
-    assert told.light_hz == round(mains / 20) * 20
-    assert abs(told.seconds - 0.015) < max(3 * told.deviation_s, 1e-5) < 1e-3
-    light = replace(found(), light_readout=told)
-    assert f"if lamps flicker at {told.light_hz:g} Hz" in row_note(light)
-    assert from_record(to_record(light)).light_readout == told
+    estimate = by_light(rows, np.arange(len(rows)) / rate)
+    assert estimate.light_hz == round(mains / 20) * 20
+    assert abs(estimate.seconds - 0.015) < max(3 * estimate.deviation_s, 1e-5) < 1e-3
+    light = replace(found(), light_readout=estimate)
+    assert f"if lamps flicker at {estimate.light_hz:g} Hz" in row_note(light)
+    assert from_record(to_record(light)).light_readout == estimate
 
 
 @pytest.mark.parametrize(("rate", "mains", "depth"), [(30, 120, 0.05), (25, 100, 0.05), (30, 100, 0.0)])

@@ -95,7 +95,7 @@ class TestKind:
         assert kind_of(sources, surveys, "clips")[0] == "clips"
         return kind_of(sources, surveys, None)
 
-    def test_one_recording_is_told_by_how_its_camera_moves(self, tmp_path):
+    def test_one_recording_is_recognised_by_how_its_camera_moves(self, tmp_path):
         put = {"frames": still(20)}
         walked = {"frames": still(40, shifts=list(range(40)))}
         assert self.kind(tmp_path, False, a=put) == ("flat", "holds one recording; the camera stays put")

@@ -227,7 +227,7 @@ def test_stamps_in_coarse_ticks_are_of_the_clock_that_they_fit(rate, tick):
 
 
 @pytest.mark.parametrize("rate", [Fraction("239.97"), Fraction("29.987"), Fraction("119.95")])
-def test_a_cameras_own_clock_is_told_from_the_usual_one_by_its_stamps(rate):
+def test_a_cameras_own_clock_is_distinguished_from_the_usual_one_by_its_stamps(rate):
     """To a tenth of a tick at the end, though the ticks are coarse and frames are missing."""
     numbers = [k for k in range(6000) if k % 997 != 500]
     stamps, tick = _stamps(rate, Fraction(1, 600), numbers), Fraction(1, 600)

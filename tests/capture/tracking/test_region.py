@@ -76,7 +76,7 @@ def test_what_is_known_of_a_motion_is_its_scatter():
     assert scatter == pytest.approx(np.mean(expected), rel=0.1)
 
 
-def test_a_turn_is_told_from_a_shift():
+def test_a_turn_is_distinguished_from_a_shift():
     y, x = np.mgrid[:SIDE, :SIDE] - (SIDE - 1) / 2
     angle = 0.004 * np.sin(2 * np.pi * 3.3 * TIMES)
     rng = np.random.default_rng(0)

@@ -38,7 +38,7 @@ def test_amplitudes_and_frequencies_are_off_by_what_is_said(n, fps, band, drift,
     assert np.median(np.abs(beside)) < 0.3
 
 
-def test_one_period_is_told_less_than_many():
+def test_one_period_is_resolved_less_than_many():
     rng = np.random.default_rng(1)
     sure = []
     for n in (30, 90, 300):

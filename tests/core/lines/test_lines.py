@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from benchmarks.modulated_lines import scored, told_apart
+from benchmarks.modulated_lines import are_resolved, scored
 from tg4mm.core.lines import CodecChange, find_lines, fit_line_near, fit_lines
 from tg4mm.core.lines.model import LineShape
 from tg4mm.core.lines.record import Record
@@ -68,15 +68,15 @@ def test_three_modes_of_a_blow_in_the_record_begin_with_it():
         assert line.start_s == pytest.approx(0.4, abs=0.02)
 
 
-def test_two_lines_two_and_a_half_bins_apart_are_two_and_half_a_bin_apart_are_not_called_so_unless_told():
+def test_two_lines_two_and_a_half_bins_apart_are_two_and_half_a_bin_apart_only_where_resolved():
     rng, t = np.random.default_rng(0), np.arange(360) / FPS
     first = 0.1 * np.cos(2 * np.pi * 8.4 * t + 0.2)
     values = first + 0.01 * np.cos(2 * np.pi * 8.62 * t + 1.2) + 0.004 * rng.normal(size=360)
     assert sorted(line.hz for line in find_lines(values, t).lines) == pytest.approx([8.4, 8.62], abs=0.01)
     near = first + 0.01 * np.cos(2 * np.pi * 8.43 * t + 1.2) + 0.02 * rng.normal(size=360)
     assert len(find_lines(near, t).lines) == 1
-    told = first + 0.03 * np.cos(2 * np.pi * 8.44 * t + 1.2) + 0.004 * rng.normal(size=360)
-    assert [line.hz for line in find_lines(told, t).lines] == pytest.approx([8.4, 8.44], abs=0.005)
+    values = first + 0.03 * np.cos(2 * np.pi * 8.44 * t + 1.2) + 0.004 * rng.normal(size=360)
+    assert [line.hz for line in find_lines(values, t).lines] == pytest.approx([8.4, 8.44], abs=0.005)
 
 
 @pytest.mark.parametrize("kind", ["sinusoid", "walk", "step"])
@@ -93,7 +93,7 @@ def test_an_amplitude_that_changes_by_2_to_30_percent_is_one_line_with_its_frequ
 @pytest.mark.parametrize("ratio", [1.0, 0.5, 0.1])
 def test_two_steady_lines_a_bin_and_a_half_apart_are_no_modulation(ratio):
     """One neighbour has no mirror image on the other side of the stronger line."""
-    assert sum(told_apart(k, 1.5, ratio, 0.01) for k in range(5)) >= 4
+    assert sum(are_resolved(k, 1.5, ratio, 0.01) for k in range(5)) >= 4
 
 
 def test_a_pair_beside_a_stronger_line_is_its_modulation_and_one_neighbour_is_a_line():
@@ -209,8 +209,8 @@ def test_deviations_hold_what_they_say(colour):
         line = near[0]
         off["hz"].append((line.hz - hz) / line.hz_deviation)
         at_first = np.abs(phasor) * line.envelope(t[:1]) if line.decay_per_s < 0 else np.abs(phasor)
-        told = np.abs(phasor) > 4 * line.amplitude_deviation
-        off["amplitude"] += list(((line.amplitude - at_first) / line.amplitude_deviation)[told])
+        is_clear = np.abs(phasor) > 4 * line.amplitude_deviation
+        off["amplitude"] += list(((line.amplitude - at_first) / line.amplitude_deviation)[is_clear])
         if line.decay_per_s > 0:
             off["decay"].append((line.decay_per_s - decay) / np.sqrt(line.covariance[1, 1]))
     for kind, errors in off.items():

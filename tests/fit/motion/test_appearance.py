@@ -166,7 +166,7 @@ def noise(lab, size):
     return (size * rng.normal(size=(8, 2, 48, 48, 3))).astype(np.float32)
 
 
-def test_a_change_of_colour_is_told_from_motion_and_noise(lab):
+def test_a_change_of_colour_is_distinguished_from_motion_and_noise(lab):
     """Noise of a tenth of the patch's peak in every pixel; only the first component holds a change."""
     x = lab.patch()
     pictures = lab.shown(x, lab.shapes) + noise(lab, 0.002)

@@ -190,7 +190,7 @@ class TestSmoothness:
 
 
 class TestNoise:
-    def test_noise_is_told_from_motion(self, anywhere):
+    def test_noise_is_distinguished_from_motion(self, anywhere):
         """Motion with as much noise as signal, noise alone of the same energy, motion without noise."""
         moving = shown(anywhere, as_one(), 1.0)
         noise = np.random.default_rng(3).normal(0, np.sqrt((moving**2).mean()), (*moving.shape, 5))

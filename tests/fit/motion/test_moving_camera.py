@@ -126,7 +126,7 @@ def test_a_hand_that_shakes_more_than_the_scene_leaves_the_share_of_what_moves()
     assert sum(r.is_determined for r in found) < 4
 
 
-def test_a_line_that_neither_reading_explains_is_not_told():
+def test_a_line_that_neither_reading_explains_is_not_reported():
     """The scene seems to move as a whole, across what moves in it."""
     poses = viewmats(1e-4, 0.0)
     poses[:, 1, 3] += 0.02 * np.cos(2 * np.pi * HZ * TIMES)

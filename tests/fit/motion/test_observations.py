@@ -170,7 +170,7 @@ def test_rows_of_a_region_keep_their_times():
 
 
 @pytest.mark.parametrize(("fineness", "loss"), [(8.0, 1.0), (1.0, 4.0)])
-def test_what_averaging_costs_is_told_by_the_texture(fineness, loss):
+def test_what_averaging_costs_is_estimated_from_the_texture(fineness, loss):
     """Coarse texture loses nothing; of white noise a sixteenth of the slopes' squares stays."""
     rng = np.random.default_rng(0)
     n, height, width = 12, 160, 160

@@ -62,7 +62,7 @@ def test_the_motion_is_found_in_3d(fitted):
     assert error_of(0 * true, true, opacities) == 1
 
 
-def test_a_rig_is_told_the_offsets_of_its_clocks():
+def test_the_offsets_of_a_rigs_clocks_are_reported():
     gaussians, motion = scene(FREQUENCY)
     starts = (0.0, 1.0, 2.0, -1.0, 0.5, -2.0)
     fit = fit_motion(gaussians, clips(gaussians, motion, starts, 40, "rig"), MotionConfig(appearance=False))
@@ -95,7 +95,7 @@ def test_a_flat_video_with_missing_frames_shows_what_it_shows_with_all():
 
 
 @pytest.mark.parametrize("amplitude", [0.0005, 0.01])
-def test_the_pixels_that_things_move_by_are_told_of_any_motion(amplitude):
+def test_the_pixels_that_things_move_by_are_reported_for_any_motion(amplitude):
     gaussians, motion = scene(FREQUENCY, amplitude)
     seen = replace(clips(gaussians, motion, [0.0] * 6, 40, "rig"), clock="synchronous")
     views = [view_jacobian(gaussians, frames, seen.size) for frames in seen.frames]

@@ -175,7 +175,7 @@ def test_a_checkpoint_of_another_scene_is_not_taken_up(small, new_run, monkeypat
     assert same_motion(train_motion(run, capture, images, SHORT), train_motion(other, capture, images, SHORT))
 
 
-def test_what_cannot_be_told_is_a_warning_of_one_line_and_in_the_log(small, new_run, caplog):
+def test_what_cannot_be_resolved_is_a_warning_of_one_line_and_in_the_log(small, new_run, caplog):
     """With one camera, the motion along its sight."""
     _, capture, images = small
     keep = np.flatnonzero(capture.camera_ids == 0)
@@ -203,7 +203,7 @@ def test_pictures_that_do_not_change_give_no_motion(small, new_run):
     assert np.abs(found.displacement).max() < 1e-6
 
 
-def test_gaussians_that_no_camera_sees_are_told_in_one_line(small, new_run):
+def test_gaussians_that_no_camera_sees_are_reported_in_one_line(small, new_run):
     run, capture, images = new_run(), *small[1:]
     gaussians = run.load_space()
     run.save_space(replace(gaussians, means=gaussians.means + 1_000.0), {})

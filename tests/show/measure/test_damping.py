@@ -65,9 +65,9 @@ def test_what_is_over_early_in_the_record_has_the_right_one(ratio):
 
 def test_what_a_codec_adds_to_a_decay_is_taken_off_and_its_error_is_in_the_deviation():
     ringing = Damping(0.012, 0.0003, 0.6)
-    told = with_loss(ringing, Loss(0.97, 0.05, faster=0.1, faster_deviation=0.04))
-    assert (told.ratio, told.decay_per_s) == pytest.approx((0.010, 0.5))
-    assert told.deviation == pytest.approx(np.hypot(0.0003, 0.0008))
+    corrected = with_loss(ringing, Loss(0.97, 0.05, faster=0.1, faster_deviation=0.04))
+    assert (corrected.ratio, corrected.decay_per_s) == pytest.approx((0.010, 0.5))
+    assert corrected.deviation == pytest.approx(np.hypot(0.0003, 0.0008))
     assert with_loss(ringing, Loss(1.0, 0.0)) == ringing
     assert with_loss(ringing, Loss(float("nan"), float("nan"), "not known")) == ringing
     assert with_loss(ringing, Loss(0.3, 0.05, "smaller")) is None

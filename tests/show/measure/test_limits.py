@@ -37,7 +37,7 @@ def test_blurred_texture_keeps_in_proportion_where_speckle_does_not():
 
 
 @pytest.mark.parametrize("passes", [False, True])
-def test_what_passes_is_told_from_motion(passes):
+def test_what_passes_is_distinguished_from_motion(passes):
     rng = np.random.default_rng(1)
     frames = np.stack([picture(1.2, x) for x in (0.5, 0.5, 0.4, 0, 0, 0)])
     if passes:

@@ -191,11 +191,11 @@ def test_every_format_holds_the_same_numbers_with_their_units_and_deviations(run
     settings = {row[0]: row[1:] for row in book["settings"].iter_rows(values_only=True)}
     assert settings["sampling_rate"] == (pytest.approx(30), "Hz")
     sets = pyuff.UFF(str(out / "measure.uff")).read_sets()
-    told = {
+    stored = {
         s["id2"]: s["data"] for s in reversed(sets) if s["type"] == 58 and s["rsp_node"] == s["rsp_dir"] == 1
     }
     metres = np.array([float(r["deviation_mm"]) for r in rows]) / 1000
-    np.testing.assert_allclose(told["displacement, standard deviation"], metres, rtol=1e-4)
+    np.testing.assert_allclose(stored["displacement, standard deviation"], metres, rtol=1e-4)
 
 
 def test_every_waveform_and_spectrum_of_the_universal_file_is_that_of_the_csv_in_metres(out):
@@ -280,7 +280,7 @@ def test_a_sheets_cells_are_numbers_where_numbers_are_and_names_stay_texts():
 def test_what_compression_may_have_taken_is_in_the_levels(out, tmp_path, capsys):
     content = json.loads((out / "measure.json").read_text())
     sure = {}
-    for name, told in (
+    for name, fields in (
         ("plain", {}),
         ("lossy", {"codec_gain": 0.8, "codec_gain_deviation": 0.05, "codec_mark": "too much"}),
         (
@@ -289,7 +289,7 @@ def test_what_compression_may_have_taken_is_in_the_levels(out, tmp_path, capsys)
         ),
     ):
         for peak in content["sensors"][0]["peaks"]:
-            peak.update(told)
+            peak.update(fields)
         (tmp_path / name).mkdir()
         (tmp_path / name / "measure.json").write_text(json.dumps(content))
         words = ["analyse", str(tmp_path / name), "--out", str(tmp_path / f"{name}-a"), "--channel", "ball/x"]

@@ -136,7 +136,7 @@ def test_a_direction_of_large_noise_is_reported_where_the_motion_stands_out_of_i
     assert orbit.amplitude == pytest.approx(0.002, abs=2e-4)  # noise along the joints is left out
 
 
-def test_a_direction_that_is_told_is_a_part_of_the_main_axis_however_unsure():
+def test_a_stated_direction_is_a_part_of_the_main_axis_however_unsure():
     orbit = orbit_in(np.array([0.4, 0, 0.9], complex), np.array([0.01, 0.01, 0.29]), ALL)
     assert orbit.amplitude == pytest.approx(np.hypot(0.4, 0.9))
     assert not orbit.hidden

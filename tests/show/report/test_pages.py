@@ -120,10 +120,10 @@ def test_the_numbers_are_those_of_the_drawing(html):
 
 def test_a_drag_zooms_and_a_double_click_shows_all(html, chromium, tmp_path):
     path = tmp_path / "page.html"
-    told = "window.plots = []; const U = uPlot; uPlot = (...a) => plots[plots.push(new U(...a)) - 1];"
+    recorder = "window.plots = []; const U = uPlot; uPlot = (...a) => plots[plots.push(new U(...a)) - 1];"
     assert "new uPlot(" in html
     own = html.replace("new uPlot(", "uPlot(")
-    path.write_text(own.replace("// A chart that has", f"{told}\n// A chart", 1), encoding="utf-8")
+    path.write_text(own.replace("// A chart that has", f"{recorder}\n// A chart", 1), encoding="utf-8")
     page = chromium.new_page(viewport={"width": 390, "height": 800})
     errors: list[object] = []
     page.on("pageerror", lambda error: errors.append(error))

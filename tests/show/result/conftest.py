@@ -21,6 +21,6 @@ def run(tmp_path_factory):
     n = len(gaussians)
     parts = {"displacement": torch.full((n,), DEVIATION), "noise": torch.full((n,), NOISE)}
     made.save_part(UNCERTAINTY, parts)
-    told = {"reliability": [0.99, 0.9], "notes": ["the sun was low"], "noise_to_motion": 0.02}
-    made.save_motion(motion, told)
+    figures = {"reliability": [0.99, 0.9], "notes": ["the sun was low"], "noise_to_motion": 0.02}
+    made.save_motion(motion, figures)
     return made

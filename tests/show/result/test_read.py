@@ -63,19 +63,19 @@ def test_what_a_region_shows_is_named_in_a_scene_with_depth_too(copy, hz, size, 
     line = replace(seen.lines[0], amplitude_px=size, **position)
     seen = replace(seen, lines=(line,), movers=(), moves_by_itself=~region & region, size=(32, 32))
     copy.record("look", to_record(seen))
-    told = result_of(copy)
-    assert sorted(v.hz for v in told.vibrations) == [3.0, 7.5]
+    result = result_of(copy)
+    assert sorted(v.hz for v in result.vibrations) == [3.0, 7.5]
     if where == "model":
-        assert not told.beside
-        assert all(v.amplitude.value < 2 * AMPLITUDE for v in told.vibrations)
+        assert not result.beside
+        assert all(v.amplitude.value < 2 * AMPLITUDE for v in result.vibrations)
         return
-    (v,) = told.beside if where == "beside" else told.vibrations[:1]
+    (v,) = result.beside if where == "beside" else result.vibrations[:1]
     assert (v.hz, v.pixels.value) == (hz, size)
     capture = load_capture(copy.dataset)
     at = capture.viewmats[0, :3, :3] @ v.position + capture.viewmats[0, :3, 3]
     assert (capture.Ks[0] @ at)[:2] / at[2] == pytest.approx((9.0, 21.0))
     assert v.amplitude.value == pytest.approx(size * at[2] / capture.Ks[0, 0, 0])
-    assert ("seen only in its region" in "\n".join(lines_of(told))) == (where == "beside")
+    assert ("seen only in its region" in "\n".join(lines_of(result))) == (where == "beside")
 
 
 def test_pixels_are_how_far_a_point_lands_apart(result, run):
@@ -192,8 +192,10 @@ def test_where_the_fit_says_that_more_moves_amplitudes_are_lower_bounds(copy, sa
 def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(copy):
     motion = copy.load_motion()
     nothing = motion.displacement[:0]
-    told = {"frequencies_hz": [3.4], "frequency_deviation_hz": [0.002], "notes": ["motion at 3.4 Hz: …"]}
-    copy.save_motion(with_phasors(motion, freqs_hz=np.zeros(0), displacement=nothing, rotation=nothing), told)
+    figures = {"frequencies_hz": [3.4], "frequency_deviation_hz": [0.002], "notes": ["motion at 3.4 Hz: …"]}
+    copy.save_motion(
+        with_phasors(motion, freqs_hz=np.zeros(0), displacement=nothing, rotation=nothing), figures
+    )
     text = "\n".join(lines_of(result_of(copy)))
     assert "something changes at 3.4000 ± 0.0020 Hz, but its amplitude and direction cannot be deter" in text
     assert "no vibration was found" not in text

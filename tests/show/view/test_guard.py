@@ -152,7 +152,7 @@ def test_other_users_cannot_read_where_the_browser_goes(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def told(connection, **message):
+def send(connection, **message):
     connection.send(msgspec.msgpack.encode(message))
 
 
@@ -161,8 +161,8 @@ def pictured(connection, seconds=30.0):
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         raw = connection.recv(timeout=seconds)
-        told = zstandard.ZstdDecompressor().decompress(raw[16 : 16 + int.from_bytes(raw[8:16], "little")])
-        messages = msgspec.msgpack.decode(told)["messages"]
+        decoded = zstandard.ZstdDecompressor().decompress(raw[16 : 16 + int.from_bytes(raw[8:16], "little")])
+        messages = msgspec.msgpack.decode(decoded)["messages"]
         if any(message["type"] == "BackgroundImageMessage" for message in messages):
             return len(raw)
     raise AssertionError("no picture came")
@@ -172,12 +172,12 @@ def test_the_nonsense_of_one_client_ends_nothing_for_another(app, capfd):
     bad = [{"image_width": 0}, {"image_height": -1}, {"fov": math.pi}, {"fov": math.nan}, {"wxyz": [0.0] * 4},
            {"position": [math.nan, 0, 0]}, {"position": [1e300, 0, 0]}, {"image_width": 10**9}]  # fmt: skip
     with entered(app.server) as good, entered(app.server) as other:
-        told(good, **CAMERA)
+        send(good, **CAMERA)
         pictured(good)
         for change in bad:
-            told(other, **CAMERA | change)
+            send(other, **CAMERA | change)
             pictured(good)
-        told(other, **CAMERA)
+        send(other, **CAMERA)
         pictured(other)
         other.send(b"\xc4" * (LARGEST_MESSAGE + 1))
         with pytest.raises(ConnectionClosed):
@@ -198,7 +198,7 @@ def test_the_nonsense_of_one_client_ends_nothing_for_another(app, capfd):
 )  # fmt: skip
 def test_pictures_stay_bounded_wherever_a_client_looks_from(app, change):
     with entered(app.server) as client:
-        told(client, **CAMERA | change)
+        send(client, **CAMERA | change)
         assert pictured(client) < 5e6  # bytes
     assert app._failure is None
 
@@ -214,9 +214,9 @@ def test_a_page_of_another_port_gets_nothing_in_a_browser(app, tmp_path):
         page.on("console", lambda message: said.append(message.text))
         page.goto(f"http://localhost:{other.server_port}/")
         assert page.evaluate(f"fetch('{app.url}').then(() => 'in', () => 'out')") == "out"
-        opened = f"""new Promise((told) => {{
+        opened = f"""new Promise((resolve) => {{
             const socket = new WebSocket("{app.url.rstrip("/").replace("http", "ws")}", ["viser-v{viser.__version__}"]);
-            socket.onopen = () => told("in"); socket.onerror = () => told("out");
+            socket.onopen = () => resolve("in"); socket.onerror = () => resolve("out");
         }})"""
         assert page.evaluate(opened) == "out"
         page.wait_for_timeout(500)

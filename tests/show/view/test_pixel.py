@@ -74,8 +74,8 @@ def canvas(scene):
 
 def test_a_clip_is_one_pass_at_the_speed_it_plays(session, canvas, tmp_path):
     session.set_clock(lambda c, now: c.changed(now, speed=0.5))
-    told = []
-    path = save_clip(session, canvas, tmp_path, told.append)
+    shares = []
+    path = save_clip(session, canvas, tmp_path, shares.append)
     reader = imageio_ffmpeg.read_frames(str(path))
     meta = next(reader)
     width, height = meta["size"]
@@ -83,7 +83,7 @@ def test_a_clip_is_one_pass_at_the_speed_it_plays(session, canvas, tmp_path):
     assert (width, height) == (64, 48)
     assert meta["fps"] == pytest.approx(30)
     assert len(frames) == 24  # 12 timesteps at 30 Hz, half speed
-    assert told[-1] == 1.0
+    assert shares[-1] == 1.0
     wanted = session.painter.paint(session.look, 10 * 0.5 / 30, canvas.camera((64, 48)))
     assert np.abs(frames[10].astype(int) - wanted).mean() < 6
     assert not list(tmp_path.glob(".*"))

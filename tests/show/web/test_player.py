@@ -162,7 +162,7 @@ def test_as_many_fields_as_a_page_holds_are_drawn(browser, moving_run, camera, t
     page.close()
 
 
-def test_a_browser_without_webgl2_is_told(browser, page_file):
+def test_a_browser_without_webgl2_shows_why_nothing_plays(browser, page_file):
     context = browser.new_context()
     context.add_init_script("HTMLCanvasElement.prototype.getContext = () => null;")
     page = context.new_page()

@@ -82,7 +82,10 @@ def read_cells(
     times: list[float] = []
     kinds: list[int] = []
     row_means: list[np.ndarray] = []
-    waiting: list[np.ndarray] = []
+    block, filled = (
+        np.empty((0, 0, 0)),
+        0,
+    )  # pictures that are read together, one block after the other in one place
     shape: tuple[int, ...] | None = None
     first: np.ndarray | None = None
     for picture in read_ahead(pictures):
@@ -97,20 +100,21 @@ def read_cells(
         times.append(picture.time_s)
         kinds.append(picture.kind)
         row_means.append(picture.grey.mean(1, dtype=np.float32))
-        waiting.append(picture.grey.copy())
-        if len(waiting) == (
-            _at_once(picture.grey.size)
-            if reader.templates
-            else max(FEWEST, min(MEAN_OF, _FIRST_BYTES // picture.grey.size))
-        ):
-            reader.add(np.stack(waiting), np.array(kinds))
-            waiting = []
+        if not filled:
+            few = max(FEWEST, min(MEAN_OF, _FIRST_BYTES // picture.grey.size))
+            n = _at_once(picture.grey.size) if reader.templates else few
+            block = block if len(block) == n else np.empty((n, *shape), picture.grey.dtype)
+        block[filled] = picture.grey
+        filled += 1
+        if filled == len(block):
+            reader.add(block, np.array(kinds))
+            filled = 0
     if len(times) < FEWEST or shape is None or first is None:
         raise CaptureError(
             f"{where}: holds {len(times)} pictures; at least {FEWEST} are needed to look for vibrations"
         )
-    if waiting:
-        reader.add(np.stack(waiting), np.array(kinds))
+    if filled:
+        reader.add(block[:filled], np.array(kinds))
     shift, gain, misfit, change = reader.solved()
     covariance, grid = reader.templates[0].covariance, reader.grid
     is_matched = np.zeros(len(grid), bool)

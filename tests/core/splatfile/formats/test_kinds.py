@@ -197,16 +197,16 @@ def test_legal_infinities_are_read_and_the_others_left_out_with_their_count(kind
     assert len(read) == 12 - 4
     assert read.opacities[:2].tolist() == [1, 0]  # rows 3 and 4
     assert read.scales[2, 1] == 0
-    told = " | ".join(read.notes)
-    assert "1 of 12 Gaussians have a scale of log 0: read as flat" in told
-    assert "2 of 12 Gaussians have an infinite logit: read as opacity 0 or 1" in told
-    assert "4 of 12 Gaussians are left out, for a position that is no finite number (1), " in told
+    notes = " | ".join(read.notes)
+    assert "1 of 12 Gaussians have a scale of log 0: read as flat" in notes
+    assert "2 of 12 Gaussians have an infinite logit: read as opacity 0 or 1" in notes
+    assert "4 of 12 Gaussians are left out, for a position that is no finite number (1), " in notes
     for why in (
         "a scale that is no finite number",
         "a colour that is no finite number",
         "a rotation of zero",
     ):
-        assert f"{why} (1)" in told
+        assert f"{why} (1)" in notes
 
 
 def test_motion_that_is_no_number_takes_its_gaussian_along(tmp_path):
