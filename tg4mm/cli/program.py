@@ -26,8 +26,8 @@ from tg4mm.run.options import LIST_SETTINGS, TrainOptions
 from tg4mm.show import options as show
 
 BAD_INPUT, INTERRUPTED = 2, 130
-# Of mallopt(3), and bytes: what is kept free at the end of memory, the size from which an array is one of its own, and
-# what a thread's memory, which comes in pieces of 64 MiB, keeps of an empty piece.
+# Options of mallopt(3) with their values in bytes: free memory that the heap keeps, the size from which an array is
+# mapped by itself, and free memory that a thread's arena keeps, which grows in heaps of 64 MiB.
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _TOP_PAD = (-1, 1 << 30), (-3, 1 << 30), (-2, 1 << 26)
 ABOUT = """3D motion magnification: shows and measures subtle vibration, from any viewpoint.
 
@@ -97,8 +97,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _keep_freed_memory() -> None:
     """Let glibc hand freed memory on to the next large array.
 
-    It returns arrays of 32 MiB or more to the system, and empty pieces of a thread's memory; new pages took half of all
-    time in the system.
+    By default it returns arrays of 32 MiB or more and the empty heaps of a thread's arena to the system; new pages took
+    half of all time in the system.
     """
     if sys.platform != "linux":
         return

@@ -82,10 +82,7 @@ def read_cells(
     times: list[float] = []
     kinds: list[int] = []
     row_means: list[np.ndarray] = []
-    block, filled = (
-        np.empty((0, 0, 0)),
-        0,
-    )  # pictures that are read together, one block after the other in one place
+    block, filled = np.empty((0, 0, 0)), 0  # a buffer for the pictures that are read together
     shape: tuple[int, ...] | None = None
     first: np.ndarray | None = None
     for picture in read_ahead(pictures):

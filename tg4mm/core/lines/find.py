@@ -53,9 +53,9 @@ def find_lines(
     noise: standard deviation of each component's samples [D] that is known from elsewhere; the residual's own counts
     where it is larger. ends: the lowest and highest frequency looked at, Hz; 1.5 cycles in the record and half the
     rate less half of 1 / duration if not given. Components share frequencies and decays. chance: that noise alone makes
-    a line in the record. Of fewer than 12 samples, none. b_frames [T] bool: samples of pictures that a codec predicts
-    from both sides: lines are looked for in all, and what they are is taken from the others. codec: the changes of a
-    line that are not reported, as a codec may have made them.
+    a line in the record. Fewer than 12 samples give none. b_frames [T] bool: samples of B-frames; lines are
+    searched for in all samples and fitted to the others. codec: the changes of a line that are not reported, as a codec
+    may have made them.
     """
     record = Record.of(values, times_s, noise, ends, chance, codec)
     if record is None:

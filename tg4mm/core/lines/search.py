@@ -166,7 +166,7 @@ class _Look:
 
 
 def _turned(hz: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return [2, F, T]: exp(−iωt) of frequencies of one step, each a product of two, an exponential costs more."""
+    """Return [2, F, T]: exp(−iωt) at evenly spaced frequencies, each a product of two exponentials, to save time."""
     few = int(np.sqrt(len(hz))) + 1
     coarse, fine = (
         np.exp(-2j * np.pi * frequencies[:, None] * t) for frequencies in (hz[::few], hz[:few] - hz[:1])

@@ -54,7 +54,7 @@
       }
       data.push(log(own.y));
       series.push({label: own.name || chart.yLabel, stroke, width, dash: own.dash ? [5, 4] : undefined, spanGaps: true, value: (u, v) => short(v),
-        points: {show: !!own.points, size: 6, fill: stroke}, class: own.name || chart.series.length == 1 ? "told" : "edge",
+        points: {show: !!own.points, size: 6, fill: stroke}, class: own.name || chart.series.length == 1 ? "named" : "edge",
         ...(own.stem ? {paths: uPlot.paths.bars({size: [1, 3]}), fill: stroke, class: "edge"} : {})});
     }
     return {data, series, bands};

@@ -84,7 +84,7 @@ class CpuOperator:
         return x, self.graph.motion(x)
 
     def from_motion(self, v_motion: np.ndarray) -> np.ndarray:
-        """The transpose of `field_and_motion`'s second: [N, 6] -> [P, 3]."""
+        """Return [P, 3]: the transpose of the map from θ to motion, applied to [N, 6]."""
         return self.preconditioner.from_field(self.graph.from_motion(v_motion))
 
     def with_prior(self, x: np.ndarray, v_motion: np.ndarray) -> np.ndarray:

@@ -98,9 +98,10 @@ def shared(function: Callable[..., None]) -> Any:
 
 
 def on_each(function: Callable[[T], U], items: Iterable[T]) -> list[U]:
-    """Return what a function makes of each item. The threads share the items, if there are enough for all of them.
+    """Return the function's result for each item, in order; threads share the items if each gets at least one.
 
-    Kernels that it calls then run on one thread each; with fewer items, all threads share each kernel.
+    Kernels that the function calls then run on one thread. With fewer items than threads, items are processed in turn
+    and threads share each kernel.
     """
     workers, each = get_num_threads(), list(items)
     if workers == 1 or len(each) < workers:
